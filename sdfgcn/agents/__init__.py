@@ -1,0 +1,34 @@
+"""What picks the next push.
+
+An agent is called with the observation of one environment (no batch dimension) and returns it
+with `action` set. `MODELS` maps the options of `conf/model/` to builders.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from tensordict import TensorDictBase
+
+from sdfgcn.agents.rule_based import RuleBasedAgent
+from sdfgcn.config import Config, lookup
+
+Agent = Callable[[TensorDictBase], TensorDictBase]
+
+MODELS: dict[str, Callable[[Config, np.random.Generator], Agent]] = {
+    "rule_based": RuleBasedAgent,
+}
+
+
+def build_agent(config: Config, rng: np.random.Generator) -> Agent:
+    """Build the agent that `config.model` names.
+
+    Args:
+        config: The whole experiment.
+        rng: Where the agent draws from, and nowhere else.
+
+    Raises:
+        SdfgcnError: There is no such model.
+    """
+    return lookup(MODELS, "model.name", config.model.name)(config, rng)

@@ -1,0 +1,335 @@
+"""Every config dataclass: the types behind the YAML files of `conf/`.
+
+The numbers live in YAML. A dataclass here names each key, types it, and its `validate` checks
+what a type cannot, in sentences. Nothing mutates a config once it is built.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+from hydra.core.config_store import ConfigStore
+from omegaconf import MISSING, DictConfig, OmegaConf
+
+from sdfgcn.errors import SdfgcnError
+
+N_DIRECTIONS = 8  # push directions, 45 degrees apart (paper section IV c)
+SPLITS = ("train", "test")  # objects seen in training, objects held out
+
+T = TypeVar("T")
+
+
+@dataclass
+class ObjectsConfig:
+    """Which object catalogue stands on the table (`conf/objects/`)."""
+
+    name: str = MISSING
+    footprint_min: float = MISSING
+    footprint_max: float = MISSING
+    height_max: float = MISSING
+    thickness_min: float = MISSING
+    mass_min: float = MISSING
+    mass_max: float = MISSING
+    density: float = MISSING
+    max_faces: int = MISSING
+    max_pieces: int = MISSING
+    max_piece_vertices: int = MISSING
+    texture_size: int = MISSING
+    settle_drops: int = MISSING
+    settle_seconds: float = MISSING
+    settle_speed: float = MISSING
+    settle_friction: list[float] = MISSING
+    settle_min_probability: float = MISSING
+    palette: list[list[float]] = MISSING
+    root: str | None = None
+    split_file: str | None = None
+
+
+@dataclass
+class RobotConfig:
+    """What executes the push (`conf/robot/`); a key that a robot has no use for is null."""
+
+    name: str = MISSING
+    home: list[float] = MISSING
+    lead: float = MISSING
+    base_position: list[float] | None = None
+    ik_tolerance: float | None = None
+    ik_steps: int | None = None
+    stiffness: float | None = None
+    yaw_stiffness: float | None = None
+    force_limit: float | None = None
+
+
+@dataclass
+class ScenarioConfig:
+    """How start and goal layouts are drawn (`conf/scenario/`)."""
+
+    name: str = MISSING
+    spacing: float = MISSING
+    max_tries: int = MISSING
+
+
+@dataclass
+class ArenaConfig:
+    """Table, light, camera and the regions on the table (`conf/env/`)."""
+
+    spawn_x: list[float] = MISSING
+    spawn_y: list[float] = MISSING
+    range_x: list[float] = MISSING
+    range_y: list[float] = MISSING
+    reach_x: list[float] = MISSING
+    reach_y: list[float] = MISSING
+    table_rgba: list[float] = MISSING
+    camera_tilt: float = MISSING
+    camera_fovy: float = MISSING
+    camera_distance: float = MISSING
+    camera_target: list[float] = MISSING
+    image_size: int = MISSING
+
+
+@dataclass
+class PhysicsConfig:
+    """MuJoCo options and contact parameters (`conf/env/`)."""
+
+    timestep: float = MISSING
+    cone: str = MISSING
+    impratio: float = MISSING
+    sliding_friction: float = MISSING
+    torsional_friction: float = MISSING
+    rolling_friction: float = MISSING
+    solref: list[float] = MISSING
+    sleep_tolerance: float = MISSING
+    settle_seconds: float = MISSING
+    settle_speed: float = MISSING
+
+
+@dataclass
+class PushConfig:
+    """The push primitive (`conf/env/`)."""
+
+    length: float = MISSING
+    clearance: float = MISSING
+    walk: float = MISSING
+    height: float = MISSING
+    approach: float = MISSING
+    speed: float = MISSING
+    descent_speed: float = MISSING
+    lift_speed: float = MISSING
+    control_timestep: float = MISSING
+    knot: float = MISSING
+    blocked_force: float = MISSING
+    plane_height: float = MISSING
+
+
+@dataclass
+class RewardConfig:
+    """Reward terms (`conf/env/`; paper section IV d and the authors' code)."""
+
+    progress: float = MISSING
+    step: float = MISSING
+    floor: float = MISSING
+    success: float = MISSING
+    out_of_range: float = MISSING
+    vanished: float = MISSING
+    none_left: float = MISSING
+
+
+@dataclass
+class PerceptionConfig:
+    """Picture -> masks -> SDFs (`conf/perception/`)."""
+
+    name: str = MISSING
+    min_pixels: int = MISSING
+
+
+@dataclass
+class EnvConfig:
+    """The task and everything it stands on (`conf/env/`)."""
+
+    name: str = MISSING
+    n_objects: int = MISSING
+    max_objects: int = MISSING
+    split: str = MISSING
+    pushes_per_object: int = MISSING
+    success_threshold: float = MISSING
+    pixels: bool = MISSING
+    arena: ArenaConfig = field(default_factory=ArenaConfig)
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+    push: PushConfig = field(default_factory=PushConfig)
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    objects: ObjectsConfig = field(default_factory=ObjectsConfig)
+    robot: RobotConfig = field(default_factory=RobotConfig)
+    scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
+    perception: PerceptionConfig = field(default_factory=PerceptionConfig)
+
+
+@dataclass
+class ModelConfig:
+    """Which method picks the push (`conf/model/`)."""
+
+    name: str = MISSING
+
+
+@dataclass
+class EvalConfig:
+    """How a method is evaluated (`conf/eval/`)."""
+
+    name: str = MISSING
+    episodes: int = MISSING
+    split: str = MISSING
+
+
+@dataclass
+class LoggerConfig:
+    """Where running figures go besides the result files (`conf/logger/`)."""
+
+    name: str = MISSING
+
+
+@dataclass
+class VizConfig:
+    """Recordings (`conf/viz/`)."""
+
+    name: str = MISSING
+    episodes: int = MISSING
+
+
+@dataclass
+class RuntimeConfig:
+    """Processes and threads (`conf/runtime/`)."""
+
+    name: str = MISSING
+    workers: int = MISSING
+    torch_threads: int = MISSING
+
+
+@dataclass
+class Config:
+    """The whole experiment, as `python run.py --cfg job` prints it."""
+
+    seed: int = MISSING
+    n_objects: int = MISSING
+    env: EnvConfig = field(default_factory=EnvConfig)
+    model: ModelConfig = field(default_factory=ModelConfig)
+    eval: EvalConfig = field(default_factory=EvalConfig)
+    logger: LoggerConfig = field(default_factory=LoggerConfig)
+    viz: VizConfig = field(default_factory=VizConfig)
+    runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
+
+
+def register_schema() -> None:
+    """Tell Hydra the types, so that it refuses an unknown key or a value of the wrong type."""
+    ConfigStore.instance().store(name="schema", node=Config)
+
+
+def typed(cfg: DictConfig) -> Config:
+    """Turn Hydra's config into dataclasses and validate it.
+
+    Raises:
+        SdfgcnError: A value is out of its range or contradicts another.
+        OmegaConfBaseException: A key is unknown, a value is missing or an interpolation leads
+            nowhere.
+    """
+    # Hydra's `+key=value` may have added a key that no dataclass has: merging refuses it.
+    values = OmegaConf.to_container(cfg, resolve=True)
+    config = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(Config), values))
+    assert isinstance(config, Config)
+    validate(config)
+    return config
+
+
+def lookup(registry: Mapping[str, T], key: str, name: str) -> T:
+    """Return the entry `name` of a registry.
+
+    Args:
+        registry: Name -> entry.
+        key: The config key that holds `name`, for the message.
+        name: The entry asked for.
+
+    Raises:
+        SdfgcnError: There is no such entry.
+    """
+    if name not in registry:
+        raise SdfgcnError(f"{key} is '{name}', but must be one of {', '.join(sorted(registry))}.")
+    return registry[name]
+
+
+def validate(config: Config) -> None:
+    """Check what the types cannot.
+
+    Raises:
+        SdfgcnError: One sentence that names the key, the value seen and what would work.
+    """
+    env = config.env
+    if not 1 <= env.n_objects <= env.max_objects:
+        raise SdfgcnError(
+            f"n_objects is {env.n_objects}, but must lie between 1 and env.max_objects "
+            f"({env.max_objects})."
+        )
+    for key, split in (("eval.split", config.eval.split), ("env.split", env.split)):
+        if split not in SPLITS:
+            raise SdfgcnError(f"{key} is '{split}', but must be one of {', '.join(SPLITS)}.")
+    if env.split != config.eval.split:
+        raise SdfgcnError(
+            f"env.split is '{env.split}' while eval.split is '{config.eval.split}': set eval.split "
+            "alone, and env.split follows it."
+        )
+    for key, value, least in (
+        ("seed", config.seed, 0),
+        ("eval.episodes", config.eval.episodes, 1),
+        ("viz.episodes", config.viz.episodes, 0),
+        ("runtime.workers", config.runtime.workers, 0),
+        ("runtime.torch_threads", config.runtime.torch_threads, 1),
+        ("env.pushes_per_object", env.pushes_per_object, 1),
+    ):
+        if value < least:
+            raise SdfgcnError(f"{key} is {value}, but must be at least {least}.")
+
+
+def validate_objects(objects: ObjectsConfig) -> None:
+    """Check the object catalogue's limits against each other.
+
+    Raises:
+        SdfgcnError: One sentence that names the key, the value seen and what would work.
+    """
+    for low, high in (("footprint_min", "footprint_max"), ("mass_min", "mass_max")):
+        smallest, largest = getattr(objects, low), getattr(objects, high)
+        if not 0 < smallest < largest:
+            raise SdfgcnError(
+                f"env.objects.{low} is {smallest} and env.objects.{high} is {largest}, but the "
+                f"first must be above 0 and below the second."
+            )
+    for key in ("height_max", "thickness_min", "density", "settle_seconds", "settle_speed"):
+        if getattr(objects, key) <= 0:
+            raise SdfgcnError(f"env.objects.{key} is {getattr(objects, key)}, but must be above 0.")
+    smallest_counts = {
+        "max_faces": 100,
+        "max_pieces": 1,
+        "max_piece_vertices": 8,
+        "texture_size": 1,
+        "settle_drops": 1,
+    }
+    for key, least in smallest_counts.items():
+        if getattr(objects, key) < least:
+            raise SdfgcnError(
+                f"env.objects.{key} is {getattr(objects, key)}, but must be at least {least}."
+            )
+    if not 0 <= objects.settle_min_probability < 1:
+        raise SdfgcnError(
+            f"env.objects.settle_min_probability is {objects.settle_min_probability}, but must be "
+            "at least 0 and below 1."
+        )
+    if len(objects.settle_friction) != 3:
+        raise SdfgcnError(
+            f"env.objects.settle_friction is {objects.settle_friction}, but must hold three "
+            "numbers: sliding, torsional and rolling friction."
+        )
+    if not objects.palette or any(
+        len(colour) != 3 or not all(0 <= part <= 1 for part in colour) for colour in objects.palette
+    ):
+        raise SdfgcnError(
+            f"env.objects.palette is {objects.palette}, but must list colours of three numbers "
+            "between 0 and 1 (red, green, blue)."
+        )

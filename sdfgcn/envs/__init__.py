@@ -1,0 +1,1 @@
+"""The TorchRL environment that ties simulation and perception together."""

@@ -1,0 +1,277 @@
+"""The rearrangement task as a TorchRL environment."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import torch
+from dm_control import composer
+from numpy.typing import NDArray
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from sdfgcn.config import N_DIRECTIONS, EnvConfig
+from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
+from sdfgcn.objects.catalogue import load_catalogue
+from sdfgcn.perception.push_start import PushPlan, plan_pushes
+from sdfgcn.perception.sdf import signed_distances
+from sdfgcn.perception.segmentation import detected, oracle_masks
+from sdfgcn.sim.arena import camera_model
+from sdfgcn.sim.episode import Episode, draw_episode
+from sdfgcn.sim.renderer import Renderer
+from sdfgcn.sim.task import RearrangementTask
+from sdfgcn.sim.types import Push, PushCommand
+
+
+class RearrangementEnv(EnvBase):
+    """Push objects into the goal arrangement (paper section IV).
+
+    One step is one push. N is `max_objects`, H and W the picture's size. Rows of slots that hold
+    no object, and of objects that are not detected, are zero.
+
+    Observation:
+        `sdf`, `goal_sdf`: float32 [N, H, W], pixels, negative inside.
+        `node_mask`, `goal_node_mask`: bool [N], which rows hold a detected object.
+        `position`, `goal_position`: float32 [N, 2], true centres, metres.
+        `action_mask`: bool [N * 8], which actions are legal; never all false.
+        `pushes`: int64 [1], pushes so far in the episode.
+        `success`, `out_of_range`: bool [1].
+        `pixels`, `goal_pixels`: uint8 [H, W, 3], only with `config.pixels`.
+
+    Action: one index, `object * 8 + direction`; direction k heads 45 k degrees counter-clockwise
+    from the table's x axis. An illegal action moves nothing and costs a step.
+    """
+
+    def __init__(self, config: EnvConfig, seed: int | None = None):
+        """Load the catalogue and build the world.
+
+        Args:
+            config: The `env` part of the experiment's config.
+            seed: Seed of the episodes' seeds; drawn by torch if None.
+
+        Raises:
+            SdfgcnError: The catalogue cannot be had.
+        """
+        super().__init__(device=torch.device("cpu"), batch_size=[])
+        self.config = config
+        self.catalogue = load_catalogue(config.objects, config.split)
+        self.camera = camera_model(config.arena)
+        self.record = False  # whether episode_start and last_step hold RGB pictures
+        self._task = RearrangementTask(config, self.catalogue)
+        self._environment = composer.Environment(self._task, recompile_mjcf_every_episode=False)
+        self._renderer: Renderer | None = None
+        self._episode_seed: int | None = None
+        self.episode_start: EpisodeStart
+        self.last_step: StepRecord | None = None
+        self._make_specs()
+        self.set_seed(int(torch.randint(2**31, ())) if seed is None else seed)
+
+    # ------------------------------------------------------------------ specs
+
+    def _make_specs(self) -> None:
+        n, size = self.config.max_objects, self.config.arena.image_size
+        observation: dict[str, Any] = {
+            "sdf": Unbounded((n, size, size), dtype=torch.float32),
+            "goal_sdf": Unbounded((n, size, size), dtype=torch.float32),
+            "node_mask": Binary(shape=(n,), dtype=torch.bool),
+            "goal_node_mask": Binary(shape=(n,), dtype=torch.bool),
+            "position": Unbounded((n, 2), dtype=torch.float32),
+            "goal_position": Unbounded((n, 2), dtype=torch.float32),
+            "action_mask": Binary(shape=(n * N_DIRECTIONS,), dtype=torch.bool),
+            "pushes": Unbounded((1,), dtype=torch.int64),
+            "success": Binary(shape=(1,), dtype=torch.bool),
+            "out_of_range": Binary(shape=(1,), dtype=torch.bool),
+        }
+        if self.config.pixels:
+            for key in ("pixels", "goal_pixels"):
+                observation[key] = Unbounded((size, size, 3), dtype=torch.uint8)
+        self.observation_spec = Composite(observation)
+        self.action_spec = Categorical(n * N_DIRECTIONS, shape=(), dtype=torch.int64)
+        self.reward_spec = Unbounded((1,), dtype=torch.float32)
+        flags = ("done", "terminated", "truncated")
+        self.done_spec = Composite({key: Binary(shape=(1,), dtype=torch.bool) for key in flags})
+
+    # ------------------------------------------------------------------ TorchRL's hooks
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._rng = np.random.default_rng(seed)
+
+    def reset_episode(self, seed: int) -> TensorDictBase:
+        """Reset to the episode that `seed` stands for, whatever came before."""
+        self._episode_seed = seed
+        return self.reset()
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        seed = self._episode_seed
+        if seed is None:
+            seed = int(self._rng.integers(2**31))
+        self._episode_seed = None
+        self._begin(draw_episode(seed, self.catalogue, self.config))
+        return self._observation()
+
+    def _begin(self, episode: Episode) -> None:
+        """Take the goal's picture, then put everything at the start."""
+        self._task.begin(episode)
+        self._environment.reset()
+        physics = self._environment.physics
+        if self._renderer is None:
+            self._renderer = Renderer(physics, self.config.arena.image_size)
+        settled = self._task.poses(physics)
+        self._task.set_poses(physics, episode.goal)
+        goal, self._goal_found, _ = self._look()
+        self._task.set_poses(physics, settled)
+        scene, self._found, self._plan = self._look()
+        self._goal, self._scene = goal, scene
+        self._pushes = 0
+        self._update_mask()
+        self.last_step = None
+        self.episode_start = EpisodeStart(
+            seed=episode.seed,
+            objects=tuple(self.catalogue[i] for i in episode.objects),
+            colors=episode.colors,
+            scene=scene,
+            goal=goal,
+            camera=self.camera,
+        )
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        action = int(tensordict["action"])
+        task, physics = self._task, self._environment.physics
+        found_before = self._found
+        push = self._execute(*divmod(action, N_DIRECTIONS))
+        self._pushes += 1
+        self._scene, self._found, self._plan = self._look()
+        vanished = int((found_before & ~self._found).sum())
+        none_left = not self._found.any()
+        terms = task.reward_terms(physics, vanished=vanished, none_left=none_left)
+        success, out_of_range = task.success(physics), task.out_of_range(physics)
+        terminated = success or out_of_range or none_left
+        limit = self.config.pushes_per_object * len(task.episode.objects)
+        truncated = not terminated and self._pushes >= limit
+        self._update_mask()
+        self.last_step = StepRecord(
+            index=self._pushes,
+            push=push,
+            scene=self._scene,
+            distances=task.distances(physics),
+            reward_terms=terms,
+            reward=sum(terms.values()),
+            success=success,
+            out_of_range=out_of_range,
+            terminated=terminated,
+            truncated=truncated,
+            q_values=None,
+        )
+        result = self._observation(success=success, out_of_range=out_of_range)
+        result["reward"] = torch.tensor([self.last_step.reward], dtype=torch.float32)
+        result["terminated"] = torch.tensor([terminated])
+        result["truncated"] = torch.tensor([truncated])
+        result["done"] = torch.tensor([terminated or truncated])
+        return result
+
+    # ------------------------------------------------------------------ saving and restoring
+
+    def save_state(self) -> dict[str, Any]:
+        """All that the rest of the episode, and later ones, depend on; plain values and arrays."""
+        return {
+            "episode": self._task.episode,
+            "poses": self._task.poses(self._environment.physics),
+            "pushes": self._pushes,
+            "rng": self._rng.bit_generator.state,
+        }
+
+    def restore_state(self, state: dict[str, Any]) -> TensorDictBase:
+        """Go back to a saved state, also one of another environment with the same config.
+
+        Returns:
+            The observation there.
+        """
+        self._begin(state["episode"])
+        self._task.resume(self._environment.physics, state["poses"])
+        self._scene, self._found, self._plan = self._look()
+        self._pushes = state["pushes"]
+        self._rng.bit_generator.state = state["rng"]
+        self._update_mask()
+        physics = self._environment.physics
+        return self._observation(
+            success=self._task.success(physics), out_of_range=self._task.out_of_range(physics)
+        )
+
+    # ------------------------------------------------------------------ looking and pushing
+
+    def _look(self) -> tuple[Scene, NDArray[np.bool_], PushPlan]:
+        """Take a picture: the scene, which slots are detected, and the pushes it offers."""
+        assert self._renderer is not None
+        task = self._task
+        masks = oracle_masks(
+            self._renderer.geom_ids(), task.slot_of_geom, len(task.episode.objects)
+        )
+        found = detected(masks, self.config.perception.min_pixels)
+        masks &= found[:, None, None]
+        sdf = signed_distances(masks)
+        sdf[~found] = 0.0
+        scene = Scene(
+            pixels=self._renderer.pixels() if self.record or self.config.pixels else None,
+            masks=masks,
+            sdf=sdf,
+            poses=task.poses(self._environment.physics),
+        )
+        plan = plan_pushes(
+            masks[found], sdf[found], self.camera, self.config.push, self.config.arena
+        )
+        return scene, found, plan
+
+    def _execute(self, slot: int, direction: int) -> Push:
+        """Push the object in `slot`; where there is no such push, nothing moves."""
+        command = PushCommand(start=np.full(2, np.nan), direction=direction, free=0.0)
+        if slot < len(self._found) and self._found[slot]:
+            command = self._plan.command(int(self._found[:slot].sum()), direction)
+        self._environment.step(np.array([*command.start, command.direction, command.free]))
+        return replace(self._task.last_push, object=slot)
+
+    def _observation(self, success: bool = False, out_of_range: bool = False) -> TensorDict:
+        n = self.config.max_objects
+        values: dict[str, Any] = {
+            "sdf": _padded(self._scene.sdf, n),
+            "goal_sdf": _padded(self._goal.sdf, n),
+            "node_mask": _padded(self._found, n),
+            "goal_node_mask": _padded(self._goal_found, n),
+            "position": _padded(self._scene.poses[:, :2].astype(np.float32), n),
+            "goal_position": _padded(self._task.episode.goal[:, :2].astype(np.float32), n),
+            "action_mask": self._action_mask,
+            "pushes": torch.tensor([self._pushes]),
+            "success": torch.tensor([success]),
+            "out_of_range": torch.tensor([out_of_range]),
+        }
+        if self.config.pixels:
+            values["pixels"] = torch.from_numpy(self._scene.pixels)
+            values["goal_pixels"] = torch.from_numpy(self._goal.pixels)
+        return TensorDict(values, batch_size=[])
+
+    def _update_mask(self) -> None:
+        """Work out which actions are legal, for the observation and for the action spec."""
+        mask = np.zeros((self.config.max_objects, N_DIRECTIONS), dtype=bool)
+        slots = np.flatnonzero(self._found)
+        mask[slots] = self._plan.legal
+        # Samplers and losses need one legal action everywhere, also in a terminal state: boxed-in
+        # objects may be tried in vain, and where nothing is detected slot 0 stands in.
+        if not mask.any():
+            mask[slots if len(slots) else 0] = True
+        self._action_mask = torch.from_numpy(mask.ravel())
+        self.action_spec.update_mask(self._action_mask)
+
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Free the model and the picture's context."""
+        if not self.is_closed:
+            self._environment.close()
+        super().close(raise_if_closed=raise_if_closed)
+
+
+def _padded(rows: NDArray, n: int) -> torch.Tensor:
+    """The rows as a tensor, followed by zeros up to n rows."""
+    padded = np.zeros((n, *rows.shape[1:]), dtype=rows.dtype)
+    padded[: len(rows)] = rows
+    return torch.from_numpy(padded)

@@ -1,0 +1,104 @@
+"""One episode's result, and the table `episodes.csv` that keeps them."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import write_text
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What came of one episode: one row of `episodes.csv`.
+
+    Attributes:
+        episode: Its index in the evaluation, from 0.
+        seed: Its own seed: start, goal and objects follow from it and the config.
+        n_objects: Objects on the table.
+        objects: Their names in slot order, joined by ";".
+        success: Every object lay within the threshold of its goal at the same moment.
+        pushes: Pushes taken.
+        error_mm: Final distance to the goal, mean over the objects, millimetres.
+        out_of_range: An object left the allowed region.
+        truncated: The step limit ended the episode.
+        return_: Sum of the rewards; the column is called `return`.
+        wall_s: Wall time, seconds.
+    """
+
+    episode: int
+    seed: int
+    n_objects: int
+    objects: str
+    success: bool
+    pushes: int
+    error_mm: float
+    out_of_range: bool
+    truncated: bool
+    return_: float
+    wall_s: float
+
+
+COLUMNS = tuple(field.name.rstrip("_") for field in fields(Episode))
+_READ: dict[str, Callable[[str], Any]] = {
+    "int": int,
+    "float": float,
+    "str": str,
+    "bool": {"True": True, "False": False}.__getitem__,
+}
+
+
+class EpisodeTable:
+    """`episodes.csv`: every finished episode is in the file at once, so a cut run can go on."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+
+    def read(self) -> list[Episode]:
+        """Return the finished episodes, sorted by index; none if there is no file.
+
+        A last line without its end is left out: the process was killed while it wrote.
+
+        Raises:
+            SdfgcnError: The file is not such a table.
+        """
+        if not self._path.exists():
+            return []
+        text = self._path.read_text(encoding="utf-8")
+        rows = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]))
+        try:
+            episodes = {row["episode"]: _parse(row) for row in rows}
+        except (KeyError, TypeError, ValueError) as error:
+            raise SdfgcnError(
+                f"{self._path} is not a table of episodes (line with {error}); remove it or use "
+                "another hydra.run.dir."
+            ) from error
+        return sorted(episodes.values(), key=lambda episode: episode.episode)
+
+    def append(self, episode: Episode) -> None:
+        """Add one row at the end."""
+        if not self._path.exists():
+            self.write([])
+        with self._path.open("a", encoding="utf-8", newline="") as file:
+            file.write(_format([episode]))
+
+    def write(self, episodes: Iterable[Episode]) -> None:
+        """Replace the whole table."""
+        write_text(self._path, ",".join(COLUMNS) + "\n" + _format(episodes))
+
+
+def _format(episodes: Iterable[Episode]) -> str:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows(asdict(episode).values() for episode in episodes)
+    return text.getvalue()
+
+
+def _parse(row: dict[str, str]) -> Episode:
+    values = zip(fields(Episode), (row[column] for column in COLUMNS), strict=True)
+    return Episode(**{field.name: _READ[str(field.type)](value) for field, value in values})

@@ -1,0 +1,156 @@
+"""Every object of a catalogue in one picture.
+
+`python -m sdfgcn.objects.contact_sheet objects=scanned out=contact_sheet.png` takes the same
+overrides as `run.py`; `pieces=true` draws the convex collision pieces instead of the mesh.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo loads: render without a display
+
+import mujoco
+import numpy as np
+from hydra import compose, initialize_config_dir
+from hydra.errors import HydraException
+from numpy.typing import NDArray
+from omegaconf.errors import OmegaConfBaseException
+from PIL import Image, ImageDraw
+from tqdm import tqdm
+
+from sdfgcn.config import SPLITS, ObjectsConfig, register_schema, typed
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.objects.catalogue import load_catalogue
+from sdfgcn.objects.model import ObjectModel
+
+CONF = Path(__file__).resolve().parents[2] / "conf"
+TILE = 200  # pixels, side of one object's picture
+CAPTION = 46  # pixels below it
+COLUMNS = 8
+
+
+def draw_sheet(cfg: ObjectsConfig, pieces: bool = False) -> Image.Image:
+    """Draw all objects of both splits in their most probable resting pose.
+
+    Args:
+        cfg: The catalogue.
+        pieces: Draw the convex collision pieces, each in its own colour.
+
+    Returns:
+        The sheet; below each object its name, category and split, size and mass.
+    """
+    models = [model for split in SPLITS for model in load_catalogue(cfg, split)]
+    rows = -(-len(models) // COLUMNS)
+    sheet = Image.new("RGB", (COLUMNS * TILE, rows * (TILE + CAPTION)), "white")
+    for index, model in enumerate(tqdm(models, desc="Drawing", unit="object")):
+        corner = (index % COLUMNS * TILE, index // COLUMNS * (TILE + CAPTION))
+        sheet.paste(Image.fromarray(_picture(model, cfg.palette, index, pieces)), corner)
+        text = ImageDraw.Draw(sheet)
+        text.text((corner[0] + 4, corner[1] + TILE + 2), _caption(model), fill="black")
+    return sheet
+
+
+def _caption(model: ObjectModel) -> str:
+    size = "x".join(f"{100 * side:.1f}" for side in np.ptp(_resting(model), axis=0))
+    return (
+        f"{model.name}\n{model.category} ({model.split})\n"
+        f"{size} cm, {1000 * model.mass:.0f} g, {len(model.rests)} rests"
+    )
+
+
+def _resting(model: ObjectModel) -> NDArray:
+    turn = np.zeros(9)
+    mujoco.mju_quat2Mat(turn, np.array(model.rests[0].quat))
+    return model.vertices @ turn.reshape(3, 3).T
+
+
+def _picture(
+    model: ObjectModel, palette: list[list[float]], index: int, pieces: bool
+) -> NDArray[np.uint8]:
+    spec = mujoco.MjSpec()
+    spec.visual.global_.offwidth = spec.visual.global_.offheight = TILE
+    spec.visual.headlight.ambient = [0.4, 0.4, 0.4]
+    floor = spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1])
+    floor.rgba = [0.75, 0.75, 0.72, 1]
+    spec.worldbody.add_light(pos=[0.2, -0.3, 1.0], dir=[-0.2, 0.3, -1.0])
+    rest = model.rests[0]
+    body = spec.worldbody.add_body(pos=[0, 0, rest.height], quat=rest.quat)
+    if pieces:
+        for number, piece in enumerate(model.pieces):
+            spec.add_mesh(name=f"piece{number}", uservert=piece.astype(float).ravel().tolist())
+            colour = palette[number % len(palette)]
+            body.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"piece{number}", rgba=[*colour, 1]
+            )
+    else:
+        _add_visual(spec, body, model, palette[index % len(palette)])
+    return _rendered(spec.compile())
+
+
+def _add_visual(
+    spec: mujoco.MjSpec, body: mujoco.MjsBody, model: ObjectModel, colour: list[float]
+) -> None:
+    mesh = spec.add_mesh(
+        name="visual",
+        uservert=model.vertices.astype(float).ravel().tolist(),
+        userface=model.faces.ravel().tolist(),
+        inertia=mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL,
+    )
+    geom = body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="visual", rgba=[*colour, 1])
+    if model.texture is None or model.uv is None:
+        return
+    mesh.usertexcoord = model.uv.astype(float).ravel().tolist()
+    texture = spec.add_texture(
+        name="skin",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        width=model.texture.shape[1],
+        height=model.texture.shape[0],
+        nchannel=3,
+    )
+    texture.data = model.texture.tobytes()
+    material = spec.add_material(name="skin")
+    material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "skin"
+    geom.material = "skin"
+    geom.rgba = [1, 1, 1, 1]
+
+
+def _rendered(model: mujoco.MjModel) -> NDArray[np.uint8]:
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    camera = mujoco.MjvCamera()
+    camera.lookat[:] = [0, 0, 0.02]
+    camera.distance, camera.azimuth, camera.elevation = 0.24, 60, -40
+    with mujoco.Renderer(model, TILE, TILE) as renderer:
+        renderer.update_scene(data, camera)
+        return renderer.render()
+
+
+def read_config(overrides: list[str]) -> ObjectsConfig:
+    """Compose the experiment's config as `run.py` does and return its catalogue part."""
+    register_schema()
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return typed(compose("config", overrides)).env.objects
+
+
+def main(arguments: list[str]) -> int:
+    """Draw the sheet that the arguments ask for; return the exit code."""
+    own = dict(a.split("=", 1) for a in arguments if a.startswith(("out=", "pieces=")))
+    out = Path(own.get("out", "contact_sheet.png"))
+    overrides = [a for a in arguments if not a.startswith(("out=", "pieces="))]
+    try:
+        sheet = draw_sheet(read_config(overrides), pieces=own.get("pieces", "false") == "true")
+        part = out.with_name(f".{out.name}.part")
+        sheet.save(part, format="PNG")
+        part.replace(out)
+    except (SdfgcnError, HydraException, OmegaConfBaseException, OSError) as error:
+        print(str(error).splitlines()[0], file=sys.stderr)
+        return 1
+    print(f"Wrote {out}.")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

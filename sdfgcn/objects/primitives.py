@@ -1,0 +1,205 @@
+"""Solids that household objects are put together from: a mesh and its convex pieces each."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
+
+from sdfgcn.objects.meshes import mesh_volume
+
+Profile = Sequence[tuple[float, float]]  # (radius, z) from bottom to top, metres
+ROUND = 32  # corners of a circle in a visual mesh
+SECTORS = 10  # convex sectors around a hollow wall
+
+
+@dataclass(frozen=True)
+class Part:
+    """A mesh (vertices [V, 3], faces [F, 3]) and convex pieces [P, 3] of the same solid."""
+
+    vertices: NDArray
+    faces: NDArray
+    pieces: tuple[NDArray, ...]
+
+    def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Part:
+        """Return the part shifted by metres."""
+        shift = np.array([x, y, z])
+        pieces = tuple(piece + shift for piece in self.pieces)
+        return Part(self.vertices + shift, self.faces, pieces)
+
+    def turned(self, axis: str, degrees: float) -> Part:
+        """Return the part turned about a coordinate axis through the origin."""
+        turn = Rotation.from_euler(axis, degrees, degrees=True)
+        pieces = tuple(turn.apply(piece) for piece in self.pieces)
+        return Part(turn.apply(self.vertices), self.faces, pieces)
+
+
+def join(*parts: Part) -> Part:
+    """Return one part made of several, which may overlap."""
+    offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
+    return Part(
+        np.concatenate([part.vertices for part in parts]),
+        np.concatenate([part.faces + off for part, off in zip(parts, offsets, strict=True)]),
+        tuple(piece for part in parts for piece in part.pieces),
+    )
+
+
+def convex(points: NDArray) -> Part:
+    """Return the convex hull of `points` [P, 3] as mesh and single piece."""
+    hull = ConvexHull(points)
+    number = np.full(len(points), -1)
+    number[hull.vertices] = np.arange(len(hull.vertices))
+    vertices, faces = points[hull.vertices], number[hull.simplices]
+    normals = np.cross(
+        vertices[faces[:, 1]] - vertices[faces[:, 0]], vertices[faces[:, 2]] - vertices[faces[:, 0]]
+    )
+    inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
+    faces[inward] = faces[inward][:, ::-1]
+    return Part(vertices, faces, (vertices,))
+
+
+def box(x: float, y: float, z: float) -> Part:
+    """Return a box of the given sides (m), centred in x and y, its bottom at z = 0."""
+    return prism([(-x / 2, -y / 2), (x / 2, -y / 2), (x / 2, y / 2), (-x / 2, y / 2)], z)
+
+
+def prism(outline: Sequence[tuple[float, float]] | NDArray, z: float) -> Part:
+    """Return a convex outline (x, y) extruded from 0 to `z` metres."""
+    flat = np.asarray(outline, float)
+    levels = [np.column_stack([flat, np.full(len(flat), level)]) for level in (0.0, z)]
+    return convex(np.concatenate(levels))
+
+
+def circle(radius: float, corners: int, squash: float = 1.0) -> NDArray:
+    """Return `corners` points on an ellipse with half axes `radius`, `radius` * `squash` (m)."""
+    angle = np.linspace(0, 2 * np.pi, corners, endpoint=False)
+    return np.column_stack([radius * np.cos(angle), radius * squash * np.sin(angle)])
+
+
+def ellipsoid(x: float, y: float, z: float) -> Part:
+    """Return an ellipsoid with half axes in metres, centred at the origin."""
+    rings = [
+        np.column_stack([circle(np.cos(tilt), 12), np.full(12, np.sin(tilt))])
+        for tilt in np.deg2rad([-54, -27, 0, 27, 54])
+    ]
+    poles = np.array([[0, 0, -1.0], [0, 0, 1.0]])
+    return convex(np.concatenate([*rings, poles]) * [x, y, z])
+
+
+def turned_solid(profile: Profile) -> Part:
+    """Return a solid turned on a lathe: `profile` revolved about z, one piece per convex run."""
+    outline = [(0.0, profile[0][1]), *profile, (0.0, profile[-1][1])]
+    pieces = tuple(
+        np.concatenate([np.column_stack([circle(r, 16), np.full(16, z)]) for r, z in run])
+        for run in _convex_runs(list(profile))
+    )
+    return _revolved(outline, pieces)
+
+
+def turned_vessel(profile: Profile, wall: float, base: float) -> Part:
+    """Return a hollow vessel turned on a lathe, open at the top.
+
+    Args:
+        profile: Outer (radius, z) from bottom to top, metres.
+        wall: Wall thickness, metres.
+        base: Thickness of the bottom, metres.
+
+    Returns:
+        Wall sectors of convex pieces around an empty inside, and a disc as bottom.
+    """
+    floor = profile[0][1] + base
+    inner = [(r - wall, max(z, floor)) for r, z in profile]
+    outline = [(0.0, profile[0][1]), *profile, *reversed(inner), (0.0, floor)]
+    edge = np.linspace(0, 2 * np.pi, SECTORS + 1)
+    walls = []
+    # Only the bottom touches the table: ten sectors more would mean forty contacts more.
+    profile = [(profile[0][0], profile[0][1] + 0.0005), *profile[1:]]
+    for (r0, z0), (r1, z1) in itertools.pairwise(profile):
+        for a, b in itertools.pairwise(edge):
+            arcs = [
+                _arc(radius, z, np.linspace(a, b, count))
+                for r, z in ((r0, z0), (r1, z1))
+                for radius, count in ((r, 4), (r - wall, 2))
+            ]
+            walls.append(np.concatenate(arcs))
+    r_floor = float(np.interp(floor, [z for _, z in profile], [r for r, _ in profile]))
+    disc = np.concatenate(
+        [_arc(profile[0][0], floor - base, edge), _arc(r_floor - wall / 2, floor, edge)]
+    )
+    return _revolved(outline, (*walls, disc))
+
+
+def rod(path: NDArray, radius: float, squash: float = 1.0) -> Part:
+    """Return a bar of round (or squashed) cross-section along a path of points.
+
+    Args:
+        path: [K, 3] metres; one convex piece per stretch between neighbours.
+        radius: Half thickness across the path's plane normal, metres.
+        squash: Half thickness in the path's plane relative to `radius`.
+    """
+    path = np.asarray(path, float)
+    closed = np.allclose(path[0], path[-1])
+    tangents = np.gradient(path, axis=0)
+    if closed:
+        tangents[0] = tangents[-1] = path[1] - path[-2]
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    normal = _plane_normal(path)
+    side = np.cross(tangents, normal)
+    flat = circle(radius, 8, squash)
+    rings = path[:, None] + flat[:, :1] * normal + flat[:, 1:] * side[:, None]
+    return join(*[convex(np.concatenate(pair)) for pair in itertools.pairwise(rings)])
+
+
+def arc_path(radius: float, start: float, end: float, stretches: int) -> NDArray:
+    """Return points of a circle's arc in the x-z plane, angles in degrees, [stretches + 1, 3]."""
+    angle = np.deg2rad(np.linspace(start, end, stretches + 1))
+    return np.column_stack([radius * np.cos(angle), np.zeros_like(angle), radius * np.sin(angle)])
+
+
+def _plane_normal(path: NDArray) -> NDArray:
+    """A unit vector across a flat path; for a straight one any that stands on it."""
+    across = np.linalg.svd(path - path.mean(axis=0))[2][2]
+    return across / np.linalg.norm(across)
+
+
+def _arc(radius: float, z: float, angles: NDArray) -> NDArray:
+    return np.column_stack(
+        [radius * np.cos(angles), radius * np.sin(angles), np.full(len(angles), z)]
+    )
+
+
+def _convex_runs(profile: list[tuple[float, float]]) -> list[list[tuple[float, float]]]:
+    """Split a profile where it turns inward, so that each run revolves into a convex solid."""
+    runs = [profile[:2]]
+    for point in profile[2:]:
+        (r0, z0), (r1, z1) = runs[-1][-2:]
+        if (r1 - r0) * (point[1] - z1) - (z1 - z0) * (point[0] - r1) >= -1e-12:
+            runs[-1].append(point)
+        else:
+            runs.append([(r1, z1), point])
+    return runs
+
+
+def _revolved(outline: Profile, pieces: tuple[NDArray, ...]) -> Part:
+    """Revolve an outline that starts and ends on the axis into a closed mesh."""
+    angles = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
+    rings = [_arc(r, z, angles if r > 0 else angles[:1]) for r, z in outline]
+    starts = np.cumsum([0] + [len(ring) for ring in rings])
+    faces: list[NDArray] = []
+    for k in range(len(rings) - 1):
+        lower = starts[k] + np.arange(ROUND) % len(rings[k])
+        upper = starts[k + 1] + np.arange(ROUND) % len(rings[k + 1])
+        after_lower, after_upper = np.roll(lower, -1), np.roll(upper, -1)
+        if len(rings[k]) > 1:
+            faces.append(np.column_stack([lower, after_lower, upper]))
+        if len(rings[k + 1]) > 1:
+            faces.append(np.column_stack([after_lower, after_upper, upper]))
+    vertices, triangles = np.concatenate(rings), np.concatenate(faces)
+    if mesh_volume(vertices, triangles) < 0:
+        triangles = triangles[:, ::-1]
+    return Part(vertices, triangles, pieces)

@@ -1,0 +1,176 @@
+"""Stable resting poses, found by dropping an object in MuJoCo and letting it settle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sdfgcn.config import ObjectsConfig
+from sdfgcn.objects.model import Rest
+
+SAME_FACE = np.deg2rad(15.0)  # two drops lie on the same face when their down directions are close
+TIMESTEP = 0.002  # s
+SOLREF = (0.005, 1.0)  # a softer contact lets flat faces tremble on three points for ever
+STILL_SECONDS = 0.1  # an object counts as at rest after being slower than `settle_speed` this long
+
+
+@dataclass(frozen=True)
+class Pose:
+    """A resting pose with the extents (metres) that decide the scale."""
+
+    rotation: Rotation
+    height: float
+    top: float
+    footprint: float
+    radius: float
+    probability: float
+
+    @property
+    def down(self) -> NDArray:
+        """The direction of gravity in the object's frame, [3]."""
+        return self.rotation.inv().apply([0.0, 0.0, -1.0])
+
+
+def find_rests(
+    pieces: Sequence[NDArray], cfg: ObjectsConfig, rng: np.random.Generator
+) -> list[tuple[Rotation, float]]:
+    """Drop a body from random orientations and group where it comes to rest.
+
+    Drops that still move after `settle_seconds` are left out, and so are poses rarer than
+    `settle_min_probability`. A family of poses that look alike from the table (a cylinder on its
+    side at any roll angle) counts as one pose, so that it is not lost by being split up.
+
+    Args:
+        pieces: Convex pieces about their common centroid, each [P, 3], metres.
+        cfg: The catalogue's settings.
+        rng: Draws the orientations.
+
+    Returns:
+        (orientation at yaw zero, probability), most probable first; empty if nothing came to rest.
+    """
+    model = _drop_model(pieces, cfg)
+    points = np.concatenate(pieces)
+    drops = [_drop(model, points, rotation, cfg) for rotation in _orientations(cfg, rng)]
+    settled = [rotation for rotation in drops if rotation is not None]
+    return _group(settled, points, cfg.settle_min_probability) if settled else []
+
+
+def _orientations(cfg: ObjectsConfig, rng: np.random.Generator) -> list[Rotation]:
+    return [Rotation.random(rng=rng) for _ in range(cfg.settle_drops)]
+
+
+def _drop_model(pieces: Sequence[NDArray], cfg: ObjectsConfig) -> mujoco.MjModel:
+    spec = mujoco.MjSpec()
+    spec.option.timestep = TIMESTEP
+    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    # Condim 6 gives rolling friction: without it a can or an apple would never stop.
+    surface = {"condim": 6, "friction": list(cfg.settle_friction), "solref": list(SOLREF)}
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], **surface)
+    body = spec.worldbody.add_body()
+    body.add_freejoint()
+    for index, piece in enumerate(pieces):
+        spec.add_mesh(name=f"piece{index}", uservert=np.asarray(piece, float).ravel().tolist())
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=f"piece{index}",
+            density=cfg.density,
+            **surface,
+        )
+    return spec.compile()
+
+
+def _drop(
+    model: mujoco.MjModel, points: NDArray, rotation: Rotation, cfg: ObjectsConfig
+) -> Rotation | None:
+    data = mujoco.MjData(model)
+    reach = float(np.linalg.norm(points, axis=1).max())
+    data.qpos[2] = 0.003 - rotation.apply(points)[:, 2].min()
+    data.qpos[3:] = rotation.as_quat(scalar_first=True)
+    still = 0
+    for _ in range(round(cfg.settle_seconds / model.opt.timestep)):
+        mujoco.mj_step(model, data)
+        speed = np.linalg.norm(data.qvel[:3]) + reach * np.linalg.norm(data.qvel[3:])
+        still = still + 1 if speed < cfg.settle_speed else 0
+        if still * model.opt.timestep >= STILL_SECONDS:
+            return Rotation.from_quat(data.qpos[3:], scalar_first=True)
+    return None
+
+
+def _group(
+    settled: list[Rotation], points: NDArray, min_probability: float
+) -> list[tuple[Rotation, float]]:
+    down = np.array([rotation.inv().apply([0.0, 0.0, -1.0]) for rotation in settled])
+    signature = np.array([_signature(rotation, points) for rotation in settled])
+    close = np.arccos(np.clip(down @ down.T, -1, 1)) < SAME_FACE
+    size = np.linalg.norm(points, axis=1).max()
+    alike = np.linalg.norm(signature[:, None] - signature, axis=2) < 0.04 * size
+    faces = _components(close & alike)
+    families = _components(alike)
+    kept: list[tuple[int, float]] = []
+    for family in families:
+        share = len(family) / len(settled)
+        if share < min_probability:
+            continue
+        members = sorted((face for face in faces if face[0] in family), key=len, reverse=True)
+        common = [face for face in members if len(face) >= min_probability * len(settled)]
+        common = common or members[:1]
+        counted = sum(len(face) for face in common)
+        kept += [(_middle(face, down), share * len(face) / counted) for face in common]
+    total = sum(share for _, share in kept)
+    kept.sort(key=lambda pair: -pair[1])
+    return [(without_yaw(settled[index]), share / total) for index, share in kept]
+
+
+def _signature(rotation: Rotation, points: NDArray) -> NDArray:
+    """Lengths (m) that do not change with yaw nor, for a round body, with roll angle."""
+    turned = rotation.apply(points)
+    spread = np.sqrt(np.linalg.eigvalsh(np.cov(turned[:, :2].T)).clip(0))
+    return np.array([-turned[:, 2].min(), turned[:, 2].max(), *spread])
+
+
+def _components(linked: NDArray) -> list[list[int]]:
+    """Connected groups of a symmetric boolean matrix [n, n], in order of their first member."""
+    groups: list[list[int]] = []
+    free = set(range(len(linked)))
+    while free:
+        queue = [min(free)]
+        group: list[int] = []
+        while queue:
+            index = queue.pop()
+            if index in free:
+                free.remove(index)
+                group.append(index)
+                queue += [int(k) for k in np.flatnonzero(linked[index]) if k in free]
+        groups.append(sorted(group))
+    return groups
+
+
+def _middle(face: list[int], down: NDArray) -> int:
+    """The member closest to the mean down direction of its group."""
+    mean = down[face].mean(axis=0)
+    return face[int(np.argmax(down[face] @ mean))]
+
+
+def without_yaw(rotation: Rotation) -> Rotation:
+    """Turn an orientation about the vertical to yaw zero.
+
+    There the object's x axis (its y axis where x stands upright) points along world x.
+    """
+    axes = rotation.as_matrix()
+    column = 0 if np.hypot(axes[0, 0], axes[1, 0]) > 0.1 else 1
+    yaw = np.arctan2(axes[1, column], axes[0, column])
+    return Rotation.from_euler("z", -yaw) * rotation
+
+
+def to_rest(pose: Pose, scale: float) -> Rest:
+    """Return the catalogue's record of a pose after uniform scaling."""
+    w, x, y, z = (
+        float(value) for value in pose.rotation.as_quat(canonical=True, scalar_first=True)
+    )
+    return Rest((w, x, y, z), pose.height * scale, pose.radius * scale, pose.probability)

@@ -1,0 +1,1 @@
+"""From a picture to masks, signed distance fields and positions."""

@@ -1,0 +1,119 @@
+"""Where each push would start, from the picture alone (paper section IV c).
+
+The start of a push lies on the line through the object's centre: from the centre back against
+the push direction to free space. Everything comes from masks, their SDFs and the camera's
+geometry, never from true poses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
+
+from sdfgcn.config import N_DIRECTIONS, ArenaConfig, PushConfig
+from sdfgcn.sim.camera import CameraModel
+from sdfgcn.sim.push import direction_vector
+from sdfgcn.sim.types import PushCommand
+
+MAX_WALK = 0.5  # metres back from the centre; longer than any way out of the reach region
+
+
+@dataclass(frozen=True)
+class PushPlan:
+    """Every push that the picture offers, for m nodes and 8 directions.
+
+    Attributes:
+        start: [m, 8, 2] where the tool comes down, metres; NaN where the push is not legal.
+        free: [m, 8] distance from there to the first surface ahead, metres.
+        legal: [m, 8] whether free space was found within the tool's bounds.
+    """
+
+    start: NDArray[np.float64]
+    free: NDArray[np.float64]
+    legal: NDArray[np.bool_]
+
+    def command(self, node: int, direction: int) -> PushCommand:
+        """The push of `node` in `direction`, ready to be executed."""
+        return PushCommand(
+            start=self.start[node, direction],
+            direction=direction,
+            free=float(self.free[node, direction]),
+        )
+
+
+def centers(
+    masks: NDArray[np.bool_], camera: CameraModel, plane_height: float
+) -> NDArray[np.float64]:
+    """[m, 2] the centre of each of the [m, H, W] masks on the table, metres; none may be empty."""
+    rows, columns = np.indices(masks.shape[1:]) + 0.5
+    weight = masks.sum(axis=(1, 2))
+    u = (masks * columns).sum(axis=(1, 2)) / weight
+    v = (masks * rows).sum(axis=(1, 2)) / weight
+    return camera.back_project(np.stack([u, v], axis=-1), plane_height)[..., :2]
+
+
+def plan_pushes(
+    masks: NDArray[np.bool_],
+    sdfs: NDArray[np.float32],
+    camera: CameraModel,
+    config: PushConfig,
+    arena: ArenaConfig,
+) -> PushPlan:
+    """Plan all pushes of all nodes.
+
+    Args:
+        masks: [m, H, W], none empty.
+        sdfs: [m, H, W] their signed distance fields, pixels.
+        camera: The camera that took the picture.
+        config: `clearance`, `walk` and `plane_height` in metres.
+        arena: `reach_x` and `reach_y` bound the start.
+    """
+    m = len(masks)
+    if m == 0:
+        empty = np.zeros((0, N_DIRECTIONS))
+        return PushPlan(np.zeros((0, N_DIRECTIONS, 2)), empty, empty.astype(bool))
+    directions = np.stack([direction_vector(k) for k in range(N_DIRECTIONS)])
+    back = np.arange(0.0, MAX_WALK, config.walk)
+    center = centers(masks, camera, config.plane_height)
+    # [m, 8, S, 2]: S points on each line, ever further behind the object.
+    line = center[:, None, None] - back[:, None] * directions[:, None, :]
+    points = np.concatenate(
+        [line, np.full((*line.shape[:-1], 1), config.plane_height)], axis=-1
+    )
+    pixels = camera.project(points)
+    scale = camera.focal / (camera.position - points) @ camera.rotation[:, 2]
+
+    union = _sample(sdfs.min(axis=0), pixels)
+    own = np.stack([_sample(sdf, uv) for sdf, uv in zip(sdfs, pixels, strict=True)])
+    step = np.arange(len(back))
+    # Behind the object's rearmost part on the line: the centre of a ring is free, but not behind.
+    behind = step > np.max(np.where(own <= 0.0, step, 0), axis=-1, keepdims=True)
+    clear = (union >= config.clearance * scale) & behind
+    low = np.array([arena.reach_x[0], arena.reach_y[0]])
+    high = np.array([arena.reach_x[1], arena.reach_y[1]])
+    within = ((line >= low) & (line <= high)).all(axis=-1)
+    first = np.argmax(clear & within, axis=-1)
+    # The line must not have left the bounds before: they are convex, so one test is enough.
+    legal = (clear & within).any(axis=-1)
+    start = np.take_along_axis(line, first[..., None, None], axis=2)[..., 0, :]
+    start = np.where(legal[..., None], start, np.nan)
+    # Ahead of the start, the nearest occupied point on the line.
+    occupied = (union <= 0.0) & (step < first[..., None])
+    surface = np.max(np.where(occupied, step, 0), axis=-1)
+    free = (first - surface) * config.walk
+    return PushPlan(start=start, free=free, legal=legal)
+
+
+def _sample(field: NDArray, pixels: NDArray) -> NDArray[np.float64]:
+    """Bilinear samples of an [H, W] field at [..., 2] pixel coordinates (u, v).
+
+    Outside the picture nothing is known to be free: samples there are negative.
+    """
+    rows, columns = pixels[..., 1] - 0.5, pixels[..., 0] - 0.5
+    values = map_coordinates(field, [rows.ravel(), columns.ravel()], order=1, mode="nearest")
+    height, width = field.shape
+    inside = (rows > -0.5) & (rows < height - 0.5) & (columns > -0.5) & (columns < width - 0.5)
+    return np.where(inside, values.reshape(rows.shape), -1.0)

@@ -1,0 +1,200 @@
+"""The run folder: config, state, episodes, results and recordings of one run.
+
+A run can be cut off at any moment. What `status.json` says then: `done` only when the results
+stand; `failed` with the reason; `running` with its process id when the process was killed. The
+same folder as `hydra.run.dir` goes on from the episodes it holds.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import socket
+import time
+import traceback
+from collections.abc import Iterable, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from filelock import FileLock, Timeout
+from omegaconf import DictConfig, OmegaConf
+
+from sdfgcn.episodes import Episode, EpisodeTable
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import write_json, write_text
+
+# Keys that change how a run is executed or shown, not what its episodes are.
+_FREE_KEYS = ("runtime.", "viz.", "logger.", "eval.name", "eval.episodes")
+
+
+class RunFolder:
+    """Holds a run folder for the length of one run; use it as a context manager."""
+
+    def __init__(self, path: Path, cfg: DictConfig, overrides: Sequence[str] = ()) -> None:
+        """Name the folder; nothing is read or written before `__enter__`.
+
+        Args:
+            path: The folder; it is created if needed.
+            cfg: The run's config.
+            overrides: What was set on the command line, kept in `status.json`.
+        """
+        self.path = path
+        self._cfg = cfg
+        self._table = EpisodeTable(path / "episodes.csv")
+        self._lock = FileLock(path / ".lock")
+        self._status: dict[str, Any] = {"overrides": list(overrides)}
+        self._n_episodes = 0
+        self._earlier_s = 0.0
+        self._clock = 0.0
+
+    def __enter__(self) -> RunFolder:
+        """Claim the folder, check that what it holds belongs to this config, mark it running.
+
+        Raises:
+            SdfgcnError: Another process runs in it, or its episodes are another experiment's.
+        """
+        self.path.mkdir(parents=True, exist_ok=True)
+        try:
+            self._lock.acquire(timeout=0)
+        except Timeout:
+            raise SdfgcnError(
+                f"Another process is running in {self.path}; wait for it or use another "
+                "hydra.run.dir."
+            ) from None
+        try:
+            self._begin()
+        except BaseException:
+            self._lock.release()
+            raise
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        """Write the last state and let the folder go."""
+        try:
+            if error is None:
+                self._write_status(state="done", ended=_now())
+            else:
+                self._write_status(
+                    state="failed",
+                    ended=_now(),
+                    error=_reason(error),
+                    traceback="".join(traceback.format_exception(error)),
+                )
+        finally:
+            self._lock.release()
+
+    @property
+    def wall_s(self) -> float:
+        """Wall seconds spent on this folder, over every time it was gone on with."""
+        return round(self._earlier_s + time.monotonic() - self._clock, 3)
+
+    @property
+    def finished(self) -> list[Episode]:
+        """The episodes that the folder holds, sorted by index."""
+        return self._table.read()
+
+    def keep(self, episodes: Iterable[Episode]) -> list[Episode]:
+        """Keep each episode as it comes, and return all that the folder holds.
+
+        Args:
+            episodes: The missing ones, in any order.
+
+        Returns:
+            Every episode, sorted by index, as the rewritten `episodes.csv` has them.
+        """
+        for episode in episodes:
+            self._table.append(episode)
+            self._n_episodes += 1
+            self._write_status()
+        every = self._table.read()
+        self._table.write(every)
+        return every
+
+    def write_results(self, results: dict[str, Any]) -> None:
+        """Write `results.json`."""
+        write_json(self.path / "results.json", results)
+
+    def _begin(self) -> None:
+        self._clock = time.monotonic()
+        earlier = self._table.read()
+        if earlier:
+            self._check_same_experiment(len(earlier))
+            self._earlier_s = _earlier_seconds(self.path / "status.json")
+            self._n_episodes = len(earlier)
+            self._table.write(earlier)  # without the half line of a killed process
+        (self.path / "results.json").unlink(missing_ok=True)
+        write_text(self.path / "config.yaml", OmegaConf.to_yaml(self._cfg, resolve=True))
+        self._write_status(
+            state="running",
+            pid=os.getpid(),
+            host=socket.gethostname(),
+            started=_now(),
+            ended=None,
+            error=None,
+            traceback=None,
+        )
+
+    def _check_same_experiment(self, n_earlier: int) -> None:
+        kept = self.path / "config.yaml"
+        if not kept.exists():
+            raise SdfgcnError(
+                f"{self.path} holds {n_earlier} episodes but no config.yaml to say of which "
+                "experiment; use another hydra.run.dir."
+            )
+        before = _flat(OmegaConf.load(kept))
+        now = _flat(OmegaConf.create(OmegaConf.to_yaml(self._cfg, resolve=True)))
+        differing = [key for key in sorted({*before, *now}) if before.get(key) != now.get(key)]
+        if differing:
+            told = ", ".join(
+                f"{key} ({before.get(key)} there, {now.get(key)} now)" for key in differing[:3]
+            )
+            more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
+            raise SdfgcnError(
+                f"{self.path} holds {n_earlier} episodes of another experiment, which differs in "
+                f"{told}{more}; use the same values or another hydra.run.dir."
+            )
+        if n_earlier > self._cfg.eval.episodes:
+            raise SdfgcnError(
+                f"{self.path} holds {n_earlier} episodes already, more than eval.episodes="
+                f"{self._cfg.eval.episodes}; ask for at least as many or use another hydra.run.dir."
+            )
+
+    def _write_status(self, **news: Any) -> None:
+        self._status |= {**news, "episodes": self._n_episodes, "wall_s": self.wall_s}
+        write_json(self.path / "status.json", self._status)
+
+
+def _flat(cfg: Any, prefix: str = "") -> dict[str, Any]:
+    """Flatten a config to dotted keys, without those that do not change an episode."""
+    flat: dict[str, Any] = {}
+    for key, value in cfg.items():
+        dotted = f"{prefix}{key}"
+        if OmegaConf.is_dict(value):
+            flat |= _flat(value, f"{dotted}.")
+        elif not dotted.startswith(_FREE_KEYS):
+            flat[dotted] = OmegaConf.to_container(value) if OmegaConf.is_list(value) else value
+    return flat
+
+
+def _earlier_seconds(status: Path) -> float:
+    """Return the wall seconds an earlier process spent, as its last status says."""
+    if not status.exists():
+        return 0.0
+    return float(json.loads(status.read_text(encoding="utf-8")).get("wall_s", 0.0))
+
+
+def _reason(error: BaseException) -> str:
+    if isinstance(error, KeyboardInterrupt):
+        return "Interrupted from the keyboard; the same hydra.run.dir goes on from here."
+    return str(error).strip().partition("\n")[0] or type(error).__name__
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")

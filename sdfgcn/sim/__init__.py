@@ -1,0 +1,1 @@
+"""The simulated world: arena, robot, props, placement, push and task."""

@@ -1,0 +1,85 @@
+"""The arena: a table, a light and the one fixed camera (paper section VI A)."""
+
+from __future__ import annotations
+
+import numpy as np
+from dm_control import composer
+
+from sdfgcn.config import ArenaConfig, PhysicsConfig
+from sdfgcn.sim.camera import CameraModel
+
+# Geom groups decide what a picture shows and cost nothing to switch.
+GROUP_SCENE = 0  # table and visible props: in every picture
+GROUP_ROBOT = 2  # the robot's visual geoms (the Menagerie models say so)
+GROUP_COLLISION = 3  # convex pieces: never drawn
+GROUP_PARKED = 4  # props that are not in this episode: never drawn
+
+CAMERA = "overhead"
+
+
+class Table(composer.Arena):
+    """A table top at z = 0, lit without shadows, and the camera above it."""
+
+    def _build(self, arena: ArenaConfig, physics: PhysicsConfig, name: str = "arena") -> None:
+        super()._build(name=name)
+        root = self.mjcf_model
+        root.option.timestep = physics.timestep
+        root.option.integrator = "implicitfast"
+        root.option.cone = physics.cone
+        root.option.impratio = physics.impratio
+        # A prop at rest costs nothing and does not creep (measured: 3.6 times faster pushes).
+        root.option.flag.sleep = "enable"
+        root.option.sleep_tolerance = physics.sleep_tolerance
+        root.size.memory = "64M"
+        # Shadows and multisampling cost over 20 times the rest of a 96x96 picture.
+        root.visual.quality.shadowsize = 0
+        root.visual.quality.offsamples = 0
+        root.visual.headlight.set_attributes(
+            ambient=[0.4] * 3, diffuse=[0.4] * 3, specular=[0.1] * 3
+        )
+        root.statistic.set_attributes(extent=1.0, center=[0, 0, 0])
+        root.worldbody.add(
+            "light", name="lamp", pos=[0.3, -0.3, 1.5], dir=[-0.2, 0.2, -1.0], castshadow=False
+        )
+        root.worldbody.add(
+            "geom",
+            name="table",
+            type="plane",
+            # An infinite plane for contacts, drawn as a square that fills the picture.
+            size=[1.5, 1.5, 0.05],
+            rgba=arena.table_rgba,
+            group=GROUP_SCENE,
+            friction=[physics.sliding_friction, physics.torsional_friction, 0.0001],
+            solref=list(physics.solref),
+            contype=1,
+            conaffinity=1,
+        )
+        camera = camera_model(arena)
+        root.worldbody.add(
+            "camera",
+            name=CAMERA,
+            pos=camera.position,
+            xyaxes=[*camera.rotation[:, 0], *camera.rotation[:, 1]],
+            fovy=arena.camera_fovy,
+        )
+
+
+def camera_model(arena: ArenaConfig) -> CameraModel:
+    """The camera that the config describes.
+
+    It stands on the robot's side of the table (the paper's camera rides on the wrist), tilted
+    from straight down; up in the picture is +y, right is +x.
+
+    Returns:
+        The camera, aimed at `camera_target` from `camera_distance` metres.
+    """
+    tilt = np.radians(arena.camera_tilt)
+    backward = np.array([0.0, -np.sin(tilt), np.cos(tilt)])
+    right = np.array([1.0, 0.0, 0.0])
+    target = np.array([*arena.camera_target, 0.0])
+    return CameraModel(
+        position=target + arena.camera_distance * backward,
+        rotation=np.stack([right, np.cross(backward, right), backward], axis=-1),
+        fovy=float(np.radians(arena.camera_fovy)),
+        size=arena.image_size,
+    )

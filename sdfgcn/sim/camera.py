@@ -1,0 +1,75 @@
+"""The pinhole camera: from world points to pixels and back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """A fixed camera with a square picture, in MuJoCo's convention.
+
+    Pixel coordinates are continuous: the picture covers [0, size] x [0, size], (0, 0) is the
+    outer corner of the top-left pixel, and the centre of the pixel in row r and column c lies
+    at (u, v) = (c + 0.5, r + 0.5).
+
+    Attributes:
+        position: [3] the optical centre, metres, world frame.
+        rotation: [3, 3] the columns are the camera's axes in the world frame: x to the right in
+            the picture, y up in the picture, z backward. The camera looks along -z.
+        fovy: Vertical field of view, radians.
+        size: Height and width of the picture, pixels.
+    """
+
+    position: NDArray[np.float64]
+    rotation: NDArray[np.float64]
+    fovy: float
+    size: int
+
+    @property
+    def focal(self) -> float:
+        """Focal length, pixels."""
+        return 0.5 * self.size / float(np.tan(0.5 * self.fovy))
+
+    def project(self, points: ArrayLike) -> NDArray[np.float64]:
+        """World points to the picture.
+
+        Args:
+            points: [..., 3] world points, metres.
+
+        Returns:
+            [..., 2] column u and row v, pixels; not clipped to the picture. A point that is not
+            in front of the camera gives NaN.
+        """
+        local = (np.asarray(points, dtype=np.float64) - self.position) @ self.rotation
+        depth = -local[..., 2]
+        depth = np.where(depth > 0.0, depth, np.nan)
+        u = 0.5 * self.size + self.focal * local[..., 0] / depth
+        v = 0.5 * self.size - self.focal * local[..., 1] / depth
+        return np.stack([u, v], axis=-1)
+
+    def back_project(self, pixels: ArrayLike, height: ArrayLike = 0.0) -> NDArray[np.float64]:
+        """Where the ray through a pixel meets a horizontal plane.
+
+        Args:
+            pixels: [..., 2] column u and row v, pixels.
+            height: z of the plane, metres, world frame; a number, or one per pixel.
+
+        Returns:
+            [..., 3] world points, metres. A ray that does not meet the plane in front of the
+            camera gives NaN.
+        """
+        uv = np.asarray(pixels, dtype=np.float64)
+        x = (uv[..., 0] - 0.5 * self.size) / self.focal
+        y = (0.5 * self.size - uv[..., 1]) / self.focal
+        rays = np.stack([x, y, -np.ones_like(x)], axis=-1) @ self.rotation.T
+        with np.errstate(divide="ignore", invalid="ignore"):
+            scale = (np.asarray(height) - self.position[2]) / rays[..., 2]
+        scale = np.where(np.isfinite(scale) & (scale > 0.0), scale, np.nan)
+        points = self.position + scale[..., None] * rays
+        # Exactly on the plane, not within rounding of it.
+        points[..., 2] = np.where(np.isnan(scale), np.nan, height)
+        return points

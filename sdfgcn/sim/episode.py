@@ -1,0 +1,128 @@
+"""Drawing an episode: which objects, in which pose and colour, from where to where."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from sdfgcn.config import EnvConfig
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.objects.model import ObjectModel, Rest
+from sdfgcn.sim.placement import NoRoom
+from sdfgcn.sim.scenarios import SCENARIOS, Scenario, Situation
+
+MAX_DRAWS = 200  # sets of objects and layouts tried before an episode is called impossible
+
+
+@dataclass(frozen=True)
+class Episode:
+    """Everything random about an episode, drawn before it begins.
+
+    Attributes:
+        seed: What it was drawn from.
+        objects: [n] indices into the catalogue, in slot order.
+        start: [n, 7] poses: xyz in metres, quaternion w, x, y, z.
+        goal: [n, 7] likewise.
+        colors: [n, 4] RGBA; an object with a texture ignores it.
+    """
+
+    seed: int
+    objects: NDArray[np.int64]
+    start: NDArray[np.float64]
+    goal: NDArray[np.float64]
+    colors: NDArray[np.float64]
+
+
+def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig) -> Episode:
+    """Draw an episode from its seed alone.
+
+    Args:
+        seed: Source of all its randomness.
+        catalogue: The objects to draw from.
+        config: `n_objects`, the scenario, the spawn region and the palette.
+
+    Raises:
+        SdfgcnError: The scenario cannot be had with these objects, or nothing fitted.
+    """
+    rng = np.random.default_rng(seed)
+    scenario = SCENARIOS[config.scenario.name](config.scenario, config.arena)
+    n = config.n_objects
+    if n < scenario.least_objects:
+        raise SdfgcnError(
+            f"scenario={config.scenario.name} needs at least {scenario.least_objects} objects, "
+            f"but n_objects is {n}."
+        )
+    if n > len(catalogue):
+        raise SdfgcnError(
+            f"n_objects is {n}, but objects={config.objects.name} has only {len(catalogue)} "
+            f"objects in its {config.split} split."
+        )
+    for _ in range(MAX_DRAWS):
+        chosen = _choose(rng, catalogue, n, scenario)
+        rests = [_choose_rest(rng, catalogue[i]) for i in chosen]
+        situation = Situation(
+            radii=np.array([rest.radius for rest in rests]),
+            categories=tuple(catalogue[i].category for i in chosen),
+        )
+        try:
+            layout = scenario.draw(rng, situation)
+        except NoRoom:
+            continue
+        return Episode(
+            seed=seed,
+            objects=chosen,
+            start=_poses(rng, rests, layout.start),
+            goal=_poses(rng, rests, layout.goal),
+            colors=_colors(rng, config.objects.palette, n),
+        )
+    raise SdfgcnError(
+        f"No {config.scenario.name} layout of {n} objects was found in {MAX_DRAWS} draws; "
+        f"use fewer objects, a smaller scenario.spacing (now {config.scenario.spacing} m) or a "
+        f"larger spawn region (env.arena.spawn_x, env.arena.spawn_y)."
+    )
+
+
+def _choose(
+    rng: np.random.Generator, catalogue: Sequence[ObjectModel], n: int, scenario: Scenario
+) -> NDArray[np.int64]:
+    """[n] distinct catalogue indices; in few categories where the scenario wants that."""
+    if not scenario.same_category:
+        return rng.choice(len(catalogue), size=n, replace=False)
+    members: dict[str, list[int]] = {}
+    for i in rng.permutation(len(catalogue)):
+        members.setdefault(catalogue[i].category, []).append(int(i))
+    # Large categories first (ties in random order), so that groups really are groups.
+    groups = sorted(members.values(), key=lambda group: len(group) < 2)
+    groups = groups[: max(2, n // 2)] if n > 1 else groups[:1]
+    spare = [i for group in members.values() if group not in groups for i in group]
+    picked: list[int] = []
+    while len(picked) < n:
+        for group in [*groups, spare]:
+            if len(picked) < n and group and (group is not spare or not any(groups)):
+                picked.append(group.pop())
+    return np.array(picked)
+
+
+def _choose_rest(rng: np.random.Generator, model: ObjectModel) -> Rest:
+    share = np.array([rest.probability for rest in model.rests])
+    return model.rests[rng.choice(len(model.rests), p=share / share.sum())]
+
+
+def _poses(rng: np.random.Generator, rests: Sequence[Rest], places: NDArray) -> NDArray:
+    """[n, 7] resting poses at [n, 2] places, each turned by a random yaw."""
+    turns = Rotation.from_euler("z", rng.uniform(0.0, 2.0 * np.pi, size=(len(rests), 1)))
+    tilts = Rotation.from_quat([rest.quat for rest in rests], scalar_first=True)
+    heights = [[rest.height] for rest in rests]
+    return np.hstack([places, heights, (turns * tilts).as_quat(scalar_first=True)])
+
+
+def _colors(rng: np.random.Generator, palette: Sequence[Sequence[float]], n: int) -> NDArray:
+    """[n, 4] palette colours, distinct as long as the palette lasts."""
+    order = np.concatenate(
+        [rng.permutation(len(palette)) for _ in range(int(np.ceil(n / len(palette))))]
+    )[:n]
+    return np.hstack([np.asarray(palette, dtype=np.float64)[order, :3], np.ones((n, 1))])

@@ -1,0 +1,94 @@
+"""Props: catalogue objects as composer entities.
+
+Every prop of a split is compiled into the model once; an episode brings some to the table and
+leaves the others parked, out of sight and asleep. So no episode recompiles the model.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import numpy as np
+from dm_control import composer, mjcf
+from numpy.typing import NDArray
+from PIL import Image
+from scipy.spatial import ConvexHull
+
+from sdfgcn.config import PhysicsConfig
+from sdfgcn.objects.model import ObjectModel
+from sdfgcn.sim.arena import GROUP_COLLISION, GROUP_PARKED
+
+PARKING = np.array([4.0, 0.0, 1.0])  # metres; far from the table, outside the camera's view
+
+
+class Prop(composer.Entity):
+    """One object: a visual mesh and its convex collision pieces on a single body."""
+
+    def _build(self, model: ObjectModel, physics: PhysicsConfig) -> None:
+        self.model = model
+        self._root = mjcf.RootElement(model=model.name)
+        material = _add_visual_assets(self._root, model)
+        body = self._root.worldbody
+        self.visual = body.add(
+            "geom",
+            name="visual",
+            type="mesh",
+            mesh="visual",
+            group=GROUP_PARKED,
+            contype=0,
+            conaffinity=0,
+            mass=0,
+            **({"material": material} if material else {"rgba": [0.6, 0.6, 0.6, 1.0]}),
+        )
+        volumes = np.array([ConvexHull(piece).volume for piece in model.pieces])
+        for i, (piece, volume) in enumerate(zip(model.pieces, volumes, strict=True)):
+            self._root.asset.add("mesh", name=f"piece{i}", vertex=piece.ravel())
+            body.add(
+                "geom",
+                name=f"piece{i}",
+                type="mesh",
+                mesh=f"piece{i}",
+                group=GROUP_COLLISION,
+                mass=model.mass * volume / volumes.sum(),
+                condim=6,
+                friction=[
+                    physics.sliding_friction,
+                    physics.torsional_friction,
+                    physics.rolling_friction,
+                ],
+                solref=list(physics.solref),
+                contype=1,
+                conaffinity=3,  # touches table and props (bit 0) and the robot (bit 1)
+            )
+
+    @property
+    def mjcf_model(self) -> mjcf.RootElement:
+        """The prop's own MJCF tree."""
+        return self._root
+
+
+def _add_visual_assets(root: mjcf.RootElement, model: ObjectModel) -> str | None:
+    """Add the visual mesh and, where there is one, its texture. Returns the material's name."""
+    root.asset.add(
+        "mesh", name="visual", file=mjcf.Asset(_msh(model), ".msh"), inertia="shell"
+    )
+    if model.texture is None:
+        return None
+    png = io.BytesIO()
+    Image.fromarray(model.texture).save(png, format="PNG")
+    root.asset.add("texture", name="skin", type="2d", file=mjcf.Asset(png.getvalue(), ".png"))
+    root.asset.add("material", name="skin", texture="skin", specular=0.2, shininess=0.2)
+    return "skin"
+
+
+def _msh(model: ObjectModel) -> bytes:
+    """The visual mesh in MuJoCo's binary MSH format (compact, and it keeps `uv` as it is)."""
+    uv: NDArray = np.zeros((0, 2)) if model.uv is None else model.uv
+    header = struct.pack("<4i", len(model.vertices), 0, len(uv), len(model.faces))
+    arrays = [
+        model.vertices.astype("<f4"),
+        uv.astype("<f4"),
+        model.faces.astype("<i4"),
+    ]
+    return header + b"".join(array.tobytes() for array in arrays)

@@ -1,0 +1,46 @@
+"""The reward of one push (paper section IV d; figures of the authors' code)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdfgcn.config import RewardConfig
+
+
+def reward_terms(
+    config: RewardConfig,
+    before: NDArray[np.float64],
+    after: NDArray[np.float64],
+    *,
+    success: bool,
+    out_of_range: bool,
+    vanished: int = 0,
+    none_left: bool = False,
+) -> dict[str, float]:
+    """The reward's named terms; their sum is the reward.
+
+    Args:
+        config: Weights.
+        before: [k] distances of the matched pairs before the push, metres.
+        after: [k] distances after it.
+        success: Every object lies at its goal.
+        out_of_range: An object left the allowed region.
+        vanished: How many objects this push made vanish from the detections.
+        none_left: No object is detected any more.
+
+    Returns:
+        `progress`: weight * sum of (before - after). `step`: cost of a push. `floor`: what lifts
+        progress and step to the lower bound. `success`, `out_of_range`, `vanished`,
+        `none_left`: once, when it happens.
+    """
+    progress = config.progress * float(np.sum(before - after))
+    return {
+        "progress": progress,
+        "step": config.step,
+        "floor": max(0.0, config.floor - (progress + config.step)),
+        "success": config.success if success else 0.0,
+        "out_of_range": config.out_of_range if out_of_range else 0.0,
+        "vanished": config.vanished * vanished,
+        "none_left": config.none_left if none_left else 0.0,
+    }

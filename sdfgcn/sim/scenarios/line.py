@@ -1,0 +1,30 @@
+"""`line`: the goal is a straight row."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sdfgcn.sim.placement import Layout, NoRoom, Region
+from sdfgcn.sim.scenarios.scenario import Scenario, Situation
+
+
+class Line(Scenario):
+    """Objects end up side by side on a line of random slope and place, in random order."""
+
+    def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
+        """A uniform start; neighbours on the goal line stand as close as the rules allow."""
+        start = self.random_start(rng, situation)
+        order = rng.permutation(situation.n)
+        radii = situation.radii[order]
+        gaps = np.maximum(self.config.spacing, radii[:-1] + radii[1:])
+        along = np.concatenate([[0.0], np.cumsum(gaps)])
+        spawn = Region.spawn(self.arena)
+        for _ in range(self.config.max_tries):
+            angle = rng.uniform(0.0, np.pi)
+            row = along[:, None] * np.array([np.cos(angle), np.sin(angle)])
+            room = (spawn.high - spawn.low) - np.ptp(row, axis=0)
+            if (room >= 0.0).all():
+                goal = np.empty_like(start)
+                goal[order] = row - row.min(axis=0) + spawn.low + rng.uniform(0.0, 1.0, 2) * room
+                return Layout(start, goal)
+        raise NoRoom

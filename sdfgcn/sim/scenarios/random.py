@@ -1,0 +1,16 @@
+"""`random`: start and goal drawn uniformly (the authors' training and evaluation)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sdfgcn.sim.placement import Layout
+from sdfgcn.sim.scenarios.scenario import Scenario, Situation
+
+
+class Random(Scenario):
+    """Every object somewhere, to be brought somewhere else."""
+
+    def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
+        """Start and goal, independent of each other."""
+        return Layout(self.random_start(rng, situation), self.random_start(rng, situation))

@@ -1,0 +1,40 @@
+"""`sort`: the goal groups the objects by category."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sdfgcn.sim.placement import Layout, Region, sample_positions
+from sdfgcn.sim.scenarios.scenario import Scenario, Situation
+
+
+class Sort(Scenario):
+    """Each category gets a strip of the table of its own, left to right in random order."""
+
+    same_category = True
+
+    def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
+        """A uniform start; the goal is uniform within each category's strip."""
+        start = self.random_start(rng, situation)
+        names = sorted(set(situation.categories))
+        order = rng.permutation(len(names))
+        # A strip is as wide as its share of the objects.
+        counts = np.array([situation.categories.count(names[i]) for i in order])
+        spawn = Region.spawn(self.arena)
+        edges = spawn.low[0] + np.concatenate([[0.0], np.cumsum(counts) / situation.n]) * (
+            spawn.high[0] - spawn.low[0]
+        )
+        strips = {
+            names[i]: Region(
+                np.array([edges[k], spawn.low[1]]), np.array([edges[k + 1], spawn.high[1]])
+            )
+            for k, i in enumerate(order)
+        }
+        goal = sample_positions(
+            rng,
+            situation.radii,
+            [strips[category] for category in situation.categories],
+            self.config.spacing,
+            self.config.max_tries,
+        )
+        return Layout(start, goal)

@@ -1,0 +1,25 @@
+"""`swap`: two objects exchange places (paper Fig. 5)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sdfgcn.sim.placement import Layout, NoRoom, clearances, is_free
+from sdfgcn.sim.scenarios.scenario import Scenario, Situation
+
+
+class Swap(Scenario):
+    """Two objects exchange places; the others stand in the way and stay where they are."""
+
+    least_objects = 2
+
+    def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
+        """A uniform start; the goal is the start with two objects exchanged."""
+        start = self.random_start(rng, situation)
+        first, second = rng.choice(situation.n, size=2, replace=False)
+        goal = start.copy()
+        goal[[first, second]] = start[[second, first]]
+        # A larger object now stands where a smaller one stood.
+        if not is_free(goal, clearances(situation.radii, self.config.spacing)):
+            raise NoRoom
+        return Layout(start, goal)

@@ -1,0 +1,210 @@
+"""The rearrangement task: props on the table, a goal, one push per control step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+from dm_control import composer, mjcf
+from dm_env import specs
+from numpy.typing import NDArray
+
+from sdfgcn.config import N_DIRECTIONS, EnvConfig
+from sdfgcn.objects.model import ObjectModel
+from sdfgcn.sim.arena import GROUP_PARKED, GROUP_SCENE, Table
+from sdfgcn.sim.episode import Episode
+from sdfgcn.sim.placement import Region
+from sdfgcn.sim.props import PARKING, Prop
+from sdfgcn.sim.push import PushPrimitive
+from sdfgcn.sim.reward import reward_terms
+from sdfgcn.sim.robots import ROBOTS
+from sdfgcn.sim.types import Push, PushCommand
+
+
+class RearrangementTask(composer.Task):
+    """Push the props of an episode to their goals (paper section IV).
+
+    The action of one control step is a planned push: start x and y in metres, direction 0..7,
+    free distance in metres. `begin` hands over the episode before each reset.
+    """
+
+    def __init__(self, config: EnvConfig, catalogue: Sequence[ObjectModel]):
+        """Build the world: table, robot and every prop of the catalogue."""
+        self._config = config
+        self._table = Table(arena=config.arena, physics=config.physics)
+        self.robot = ROBOTS[config.robot.name](config=config.robot)
+        self._table.attach(self.robot)
+        self._props = [Prop(model=model, physics=config.physics) for model in catalogue]
+        for i, prop in enumerate(self._props):
+            # Parked from the start: props piled up at the origin would all be in contact.
+            self._table.add_free_entity(prop).pos = _parking(i)
+        self._primitive = PushPrimitive(config.push, config.arena, self.robot)
+        self._range = Region.range(config.arena)
+        self.control_timestep = config.physics.timestep
+        self._episode: Episode | None = None
+        self.last_push: Push | None = None
+
+    @property
+    def root_entity(self) -> composer.Entity:
+        """The table."""
+        return self._table
+
+    def after_compile(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
+        """Look up where each prop lives in the compiled model."""
+        del random_state
+        joints = [mjcf.get_frame_freejoint(prop.mjcf_model) for prop in self._props]
+        bodies = [mjcf.get_attachment_frame(prop.mjcf_model) for prop in self._props]
+        qpos, qvel = physics.bind(joints).qposadr, physics.bind(joints).dofadr
+        # A free joint has 7 positions and 6 velocities; the binding lists all of them.
+        self._qpos = np.reshape(qpos, (len(joints), -1))[:, :1] + np.arange(7)
+        self._qvel = np.reshape(qvel, (len(joints), -1))[:, :1] + np.arange(6)
+        self._bodies = physics.bind(bodies).element_id
+        self._visuals = physics.bind([prop.visual for prop in self._props]).element_id
+        self.slot_of_geom = np.full(physics.model.ngeom + 1, -1)
+
+    def begin(self, episode: Episode) -> None:
+        """Set the episode that the next reset starts."""
+        self._episode = episode
+
+    @property
+    def episode(self) -> Episode:
+        """The running episode."""
+        if self._episode is None:
+            raise RuntimeError("begin() was not called before the first reset")
+        return self._episode
+
+    # ------------------------------------------------------------------ composer's hooks
+
+    def initialize_episode(
+        self, physics: mjcf.Physics, random_state: np.random.RandomState
+    ) -> None:
+        """Park what is not in the episode, place the rest at the start and let it settle."""
+        del random_state
+        self._dress(physics)
+        self.set_poses(physics, self.episode.start)
+        self._settle(physics)
+        self.resume(physics, self.poses(physics))
+
+    def _dress(self, physics: mjcf.Physics) -> None:
+        """Show and colour the episode's props, hide the others."""
+        chosen = self.episode.objects
+        model = physics.model
+        model.geom_group[self._visuals] = GROUP_PARKED
+        model.geom_group[self._visuals[chosen]] = GROUP_SCENE
+        model.geom_rgba[self._visuals[chosen]] = self.episode.colors
+        # Gravity compensation holds the parked props where they are until they fall asleep.
+        model.body_gravcomp[self._bodies] = 1.0
+        model.body_gravcomp[self._bodies[chosen]] = 0.0
+        self.slot_of_geom[:] = -1
+        self.slot_of_geom[self._visuals[chosen]] = np.arange(len(chosen))
+
+    def action_spec(self, physics: mjcf.Physics) -> specs.BoundedArray:
+        """[4]: start x, start y (metres), direction (0..7), free distance (metres)."""
+        del physics
+        arena = self._config.arena
+        return specs.BoundedArray(
+            shape=(4,),
+            dtype=np.float64,
+            minimum=[arena.reach_x[0], arena.reach_y[0], 0, 0.0],
+            maximum=[arena.reach_x[1], arena.reach_y[1], N_DIRECTIONS - 1, 1.0],
+            name="push",
+        )
+
+    def before_step(
+        self, physics: mjcf.Physics, action: NDArray, random_state: np.random.RandomState
+    ) -> None:
+        """Execute the push and let the props come to rest."""
+        del random_state
+        command = PushCommand(start=action[:2], direction=int(action[2]), free=float(action[3]))
+        self._previous = self._distances
+        self.rest(physics)
+        status, start, end = self._primitive.execute(physics, command)
+        if status != "unreachable":
+            self._settle(physics)
+        self._distances = self.distances(physics)
+        self.last_push = Push(
+            object=-1, direction=command.direction, start=start, end=end, status=status
+        )
+
+    def get_reward(self, physics: mjcf.Physics) -> float:
+        """The sum of the reward's terms, as far as the simulation can tell."""
+        return sum(self.reward_terms(physics).values())
+
+    # ------------------------------------------------------------------ what is true
+
+    def reward_terms(
+        self, physics: mjcf.Physics, vanished: int = 0, none_left: bool = False
+    ) -> dict[str, float]:
+        """The last push's reward terms; see `sdfgcn.sim.reward`."""
+        return reward_terms(
+            self._config.reward,
+            self._previous,
+            self._distances,
+            success=self.success(physics),
+            out_of_range=self.out_of_range(physics),
+            vanished=vanished,
+            none_left=none_left,
+        )
+
+    def poses(self, physics: mjcf.Physics) -> NDArray[np.float64]:
+        """[n, 7] true poses in slot order: xyz in metres, quaternion w, x, y, z."""
+        return physics.data.qpos[self._qpos[self.episode.objects]].copy()
+
+    def distances(self, physics: mjcf.Physics) -> NDArray[np.float64]:
+        """[n] horizontal distance of each object's centre to its goal, metres."""
+        offsets = self.poses(physics)[:, :2] - self.episode.goal[:, :2]
+        return np.linalg.norm(offsets, axis=1)
+
+    def success(self, physics: mjcf.Physics) -> bool:
+        """Whether every object is within the threshold of its goal at this moment."""
+        return bool((self.distances(physics) <= self._config.success_threshold).all())
+
+    def out_of_range(self, physics: mjcf.Physics) -> bool:
+        """Whether some object's centre has left the allowed region."""
+        return not self._range.contains(self.poses(physics)[:, :2]).all()
+
+    # ------------------------------------------------------------------ placing and settling
+
+    def set_poses(self, physics: mjcf.Physics, poses: NDArray) -> None:
+        """Put the episode's objects at [n, 7] poses, everything at rest, the robot at home."""
+        parked = [[*_parking(i), 1.0, 0.0, 0.0, 0.0] for i in range(len(self._props))]
+        everywhere = np.array(parked)
+        everywhere[self.episode.objects] = poses
+        self._restart(physics, everywhere)
+
+    def resume(self, physics: mjcf.Physics, poses: NDArray) -> None:
+        """Go on from [n, 7] poses as if the last push had left the objects there."""
+        self.set_poses(physics, poses)
+        self.last_push = None
+        self._previous = self._distances = self.distances(physics)
+
+    def rest(self, physics: mjcf.Physics) -> None:
+        """Bring the simulation to a state that follows from the props' poses alone.
+
+        Velocities, warm starts and sleep are all cleared, so a push depends on nothing that a
+        saved pose does not hold.
+        """
+        self._restart(physics, physics.data.qpos[self._qpos].copy())
+
+    def _restart(self, physics: mjcf.Physics, everywhere: NDArray) -> None:
+        # Not physics.reset(): that runs the whole forward pass once more.
+        mujoco.mj_resetData(physics.model.ptr, physics.data.ptr)
+        physics.data.qpos[self._qpos] = everywhere
+        self.robot.place(physics, self.robot.home)
+        physics.forward()
+
+    def _settle(self, physics: mjcf.Physics) -> None:
+        """Step until the props are at rest, at most `settle_seconds`."""
+        config = self._config.physics
+        chunk = 10
+        velocities = self._qvel[self.episode.objects]
+        for _ in range(round(config.settle_seconds / (chunk * config.timestep))):
+            physics.step(nstep=chunk)
+            if np.abs(physics.data.qvel[velocities]).max() < config.settle_speed:
+                return
+
+
+def _parking(index: int) -> NDArray[np.float64]:
+    """Where prop number `index` waits while it is not in the episode, metres."""
+    return PARKING + np.array([0.5 * index, 0.0, 0.0])

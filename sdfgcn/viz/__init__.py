@@ -1,0 +1,74 @@
+"""Recordings of episodes, one file each, to look at push by push.
+
+`RECORDERS` maps `viz.name` to a function that makes the recorder of one episode:
+
+    with RECORDERS[config.viz.name](path, config.env) as recorder:
+        recorder.start(env.episode_start)
+        for step in steps:
+            recorder.step(step)
+
+The file at `path` appears when the block ends without an exception, whole or not at all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Protocol, Self
+
+if TYPE_CHECKING:
+    from sdfgcn.config import EnvConfig
+    from sdfgcn.envs.types import EpisodeStart, StepRecord
+
+
+class Recorder(Protocol):
+    """Records one episode: `start` once, `step` per push, `close` once."""
+
+    def start(self, episode: EpisodeStart) -> None:
+        """Record the start of the episode and its goal."""
+
+    def step(self, step: StepRecord) -> None:
+        """Record one push and the scene after it."""
+
+    def close(self) -> None:
+        """Finish the file. Without this call no finished file appears."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        if error is None:
+            self.close()
+
+
+class NullRecorder(Recorder):
+    """Records nothing (`viz=none`)."""
+
+    def start(self, episode: EpisodeStart) -> None:
+        """Do nothing."""
+
+    def step(self, step: StepRecord) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+def _null(path: Path, env: EnvConfig) -> Recorder:
+    return NullRecorder()
+
+
+def _rerun(path: Path, env: EnvConfig) -> Recorder:
+    # Imported here: rerun takes a while to load, and a run without recordings needs none of it.
+    from sdfgcn.viz.rerun_recorder import RerunRecorder
+
+    return RerunRecorder(path, env)
+
+
+RECORDERS: dict[str, Callable[[Path, EnvConfig], Recorder]] = {"none": _null, "rerun": _rerun}

@@ -1,0 +1,174 @@
+"""What a rerun recording draws with: colours, archetypes of our types, and the viewer's layout."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+from numpy.typing import NDArray
+from PIL import Image
+
+from sdfgcn.config import ArenaConfig
+from sdfgcn.objects.model import ObjectModel
+from sdfgcn.sim.camera import CameraModel
+from sdfgcn.viz.geometry import vertex_normals
+
+TIMELINE = "push"
+
+Color = tuple[int, int, int]
+ColorLike = tuple[int, ...] | NDArray[np.uint8]
+
+# Okabe and Ito's palette, told apart with any colour vision; by slot.
+_PALETTE: tuple[Color, ...] = (
+    (230, 159, 0),
+    (86, 180, 233),
+    (0, 158, 115),
+    (240, 228, 66),
+    (0, 114, 178),
+    (213, 94, 0),
+    (204, 121, 167),
+    (153, 153, 153),
+)
+UNMATCHED_COLOR: Color = (255, 0, 255)
+STATUS_COLORS: dict[str, Color] = {
+    "done": (40, 200, 80),
+    "blocked": (230, 50, 50),
+    "unreachable": (140, 140, 140),
+    "no_contact": (240, 180, 40),
+}
+MASK_OPACITY = 0.45
+GOAL_ALPHA = 90  # of 255
+_SDF_RANGE = 16.0  # pixels from zero to the ends of the colour map
+
+
+def slot_color(slot: int) -> Color:
+    """The colour that stands for an object in masks, outlines and plots."""
+    return _PALETTE[slot % len(_PALETTE)]
+
+
+def png(pixels: NDArray[np.uint8]) -> rr.EncodedImage:
+    """A picture, uint8 [H, W, 3], without loss."""
+    buffer = io.BytesIO()
+    Image.fromarray(pixels).save(buffer, format="png")
+    return rr.EncodedImage(contents=buffer.getvalue(), media_type="image/png")
+
+
+def sdf_image(sdf: NDArray[np.float32]) -> rr.DepthImage:
+    """A signed distance field, [H, W] pixels, in the two hues of a map for signed values."""
+    return rr.DepthImage(
+        sdf.astype(np.float16),  # 0.03 pixels off at most, at half the size
+        meter=1.0,
+        colormap=rr.components.Colormap.CyanToYellow,
+        depth_range=(-_SDF_RANGE, _SDF_RANGE),
+    )
+
+
+def mesh(model: ObjectModel, color: ColorLike) -> rr.Mesh3D:
+    """An object's mesh in one colour."""
+    return rr.Mesh3D(
+        vertex_positions=model.vertices,
+        triangle_indices=model.faces,
+        vertex_normals=vertex_normals(model.vertices, model.faces),
+        albedo_factor=color,
+    )
+
+
+def skinned_mesh(model: ObjectModel, color: ColorLike) -> rr.Mesh3D:
+    """An object's mesh with its texture; in one colour where it has none."""
+    if model.texture is None or model.uv is None:
+        return mesh(model, color)
+    return rr.Mesh3D(
+        vertex_positions=model.vertices,
+        triangle_indices=model.faces,
+        vertex_normals=vertex_normals(model.vertices, model.faces),
+        vertex_texcoords=model.uv,
+        albedo_texture=model.texture,
+    )
+
+
+def transform(pose: NDArray[np.float64]) -> rr.Transform3D:
+    """A pose [7]: xyz in metres, quaternion w, x, y, z (rerun puts w last)."""
+    w, x, y, z = pose[3:]
+    return rr.Transform3D(translation=pose[:3], quaternion=rr.Quaternion(xyzw=[x, y, z, w]))
+
+
+def pinhole(camera: CameraModel) -> rr.Pinhole:
+    """The camera's frustum, with the picture a fifth of the way to the table."""
+    return rr.Pinhole(
+        focal_length=camera.focal,
+        width=camera.size,
+        height=camera.size,
+        camera_xyz=rr.ViewCoordinates.RUB,
+        image_plane_distance=0.2 * float(camera.position[2]),
+    )
+
+
+def table(x: list[float], y: list[float]) -> rr.Mesh3D:
+    """A grey rectangle just below the objects; x and y are [low, high] in metres."""
+    return rr.Mesh3D(
+        vertex_positions=[(u, v, -0.001) for u, v in _corners(x, y)],
+        triangle_indices=[[0, 1, 2], [0, 2, 3]],
+        vertex_normals=[[0, 0, 1]] * 4,
+        albedo_factor=(70, 70, 75),
+    )
+
+
+def region(x: list[float], y: list[float], color: ColorLike) -> rr.LineStrips3D:
+    """The outline of a rectangle on the table; x and y are [low, high] in metres."""
+    corners = [(u, v, 0.0) for u, v in _corners(x, y)]
+    return rr.LineStrips3D([[*corners, corners[0]]], colors=color, radii=0.001)
+
+
+def _corners(x: list[float], y: list[float]) -> list[tuple[float, float]]:
+    return [(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])]
+
+
+def blueprint(arena: ArenaConfig, n_objects: int, with_q_values: bool) -> rrb.Blueprint:
+    """Pictures on the left, 3D in the middle, SDFs on the right, figures below."""
+    pictures = rrb.Vertical(
+        rrb.Spatial2DView(origin="world/camera", name="Scene"),
+        rrb.Spatial2DView(origin="goal", name="Goal"),
+    )
+    sdfs = rrb.Grid(
+        *(
+            rrb.Spatial2DView(origin=f"sdf/{which}/{slot}", name=f"SDF {slot}, {which}")
+            for slot in range(n_objects)
+            for which in ("scene", "goal")
+        ),
+        grid_columns=2 if n_objects <= 3 else 4,
+        name="SDFs",
+    )
+    words = rrb.Tabs(
+        rrb.TextLogView(origin="log", name="Log"),
+        rrb.TextDocumentView(origin="summary", name="Summary"),
+    )
+    q_values = [rrb.TensorView(origin="q_values", name="Q-values")] if with_q_values else []
+    figures = rrb.Horizontal(
+        rrb.TimeSeriesView(origin="distance", name="Distance to goal (m)"),
+        rrb.TimeSeriesView(origin="reward", name="Reward"),
+        rrb.TimeSeriesView(origin="outcome", name="Return and outcome"),
+        *q_values,
+        words,
+    )
+    top = rrb.Horizontal(pictures, _world_view(arena), sdfs, column_shares=[2, 3, 2])
+    return rrb.Blueprint(
+        rrb.Vertical(top, figures, row_shares=[3, 1]),
+        rrb.TimePanel(state="collapsed", timeline=TIMELINE, fps=2.0),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _world_view(arena: ArenaConfig) -> rrb.Spatial3DView:
+    """Seen from the camera's side of the table, so that left and right are as in the pictures."""
+    (x_low, x_high), (y_low, y_high) = arena.reach_x, arena.reach_y
+    centre = np.array([(x_low + x_high) / 2, (y_low + y_high) / 2, 0.0])
+    eye = centre + (y_high - y_low) * np.array([0.3, -1.2, 1.0])
+    return rrb.Spatial3DView(
+        origin="world",
+        name="World",
+        line_grid=False,
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=centre),
+    )

@@ -1,0 +1,353 @@
+"""One episode as a rerun recording (`viz=rerun`); open it with `rerun FILE`.
+
+The timeline "push" counts pushes: 0 is the start, and at k everything shows push k and the scene
+after it. Entities, where i is an object's slot:
+
+    world/objects/i, world/goal/i      meshes at their poses; the goal is translucent
+    world/push                         the push as an arrow, coloured by its status
+    world/table, world/bounds/*        the regions on the table
+    world/camera                       pinhole, with picture, masks, push and goal outlines below
+    goal/picture, goal/masks           the goal picture
+    sdf/scene/i, sdf/goal/i            signed distances in pixels, with the zero contour below
+    distance/i, distance/threshold     metres to the goal, and the threshold of success
+    reward/total, reward/terms/*       the reward of each push
+    outcome/return                     undiscounted sum of the rewards so far
+    outcome/success, outcome/out_of_range
+    q_values                           [nodes, 8] action values the push was picked by, if any
+    log, summary                       what happened, in words
+
+Only this file and `rerun_drawing` import rerun.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from sdfgcn.config import N_DIRECTIONS, EnvConfig
+from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.viz import Recorder
+from sdfgcn.viz.geometry import node_slots, zero_contour
+from sdfgcn.viz.rerun_drawing import (
+    GOAL_ALPHA,
+    MASK_OPACITY,
+    STATUS_COLORS,
+    TIMELINE,
+    UNMATCHED_COLOR,
+    blueprint,
+    mesh,
+    pinhole,
+    png,
+    region,
+    sdf_image,
+    skinned_mesh,
+    slot_color,
+    table,
+    transform,
+)
+
+# One batch per entity instead of one per push: far less overhead per row.
+_BATCHES = rr.ChunkBatcherConfig(flush_tick=3600.0, flush_num_bytes=4 * 2**20)
+
+
+class RerunRecorder(Recorder):
+    """Writes one episode to one .rrd file.
+
+    Each recorder owns its stream and touches none of rerun's global state. The data goes to
+    `<path>.partial`, which `close` renames to `path`: a file of the final name is always whole.
+    Make the recorder in the process that uses it; its stream does not survive a fork.
+    """
+
+    def __init__(self, path: Path, env: EnvConfig) -> None:
+        """Prepare a recording; nothing is written before `start`.
+
+        Args:
+            path: The .rrd file to write; its folder is created.
+            env: The environment's config, for the regions and the threshold of success.
+        """
+        self._path = Path(path)
+        self._partial = self._path.with_name(self._path.name + ".partial")
+        self._env = env
+        self._stream: rr.RecordingStream | None = None
+
+    def start(self, episode: EpisodeStart) -> None:
+        """Open the file and record what is fixed for the episode, its start and its goal.
+
+        Raises:
+            SdfgcnError: The file cannot be written, the pictures are missing, or the
+                environment variable RERUN switches recording off.
+        """
+        self._episode = episode
+        self._radii = np.array(
+            [np.linalg.norm(model.vertices, axis=1).max() for model in episode.objects]
+        )
+        self._drawn_sdfs: dict[int, NDArray[np.float32]] = {}
+        self._return = 0.0
+        self._last: StepRecord | None = None
+        self._stream = self._open()
+        self._log_classes()
+        self._log_table()
+        self._log_camera()
+        self._log_objects()
+        self._log_goal()
+        self._log_sdf_names()
+        self._log_series_styles()
+        self._at(0)
+        self._log_scene(episode.scene)
+        self._log("log", rr.TextLog(f"Start of the episode with seed {episode.seed}."))
+
+    def step(self, step: StepRecord) -> None:
+        """Record one push, the scene after it and what it earned."""
+        if self._last is None:
+            self._send_blueprint(with_q_values=step.q_values is not None)
+        self._at(step.index)
+        self._log_push(step)
+        self._log_scene(step.scene)
+        self._log_figures(step)
+        self._last = step
+
+    def close(self) -> None:
+        """Write the summary, finish the file and give it its final name."""
+        if self._stream is None:
+            return
+        if self._last is None:
+            self._send_blueprint(with_q_values=False)
+        self._log_summary()
+        self._stream.flush()
+        self._stream.disconnect()
+        self._stream = None
+        self._partial.replace(self._path)
+
+    def _open(self) -> rr.RecordingStream:
+        stream = rr.RecordingStream(
+            # The viewer shares one layout among recordings of one application id, and the
+            # layout depends on the number of objects alone.
+            f"sdfgcn {len(self._episode.objects)} objects",
+            batcher_config=_BATCHES,
+        )
+        if not rr.is_enabled(recording=stream):
+            raise SdfgcnError(
+                "The environment variable RERUN switches recording off; unset it or run viz=none."
+            )
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            stream.save(self._partial)
+        except (OSError, RuntimeError) as error:
+            raise SdfgcnError(
+                f"Cannot write the recording {self._path} ({error}); choose a writable run "
+                "folder with hydra.run.dir=... or run viz=none."
+            ) from error
+        stream.set_log_time_enabled(False)  # wall-clock time says nothing about an episode
+        stream.send_recording_name(f"{self._path.stem} (seed {self._episode.seed})")
+        return stream
+
+    def _log(self, path: str, *entity: rr.AsComponents, static: bool = False) -> None:
+        assert self._stream is not None, "start() comes first"
+        self._stream.log(path, *entity, static=static, strict=True)
+
+    def _at(self, push: int) -> None:
+        assert self._stream is not None, "start() comes first"
+        self._stream.set_time(TIMELINE, sequence=push)
+
+    def _name(self, slot: int) -> str:
+        return f"{slot} {self._episode.objects[slot].name}"
+
+    def _log_classes(self) -> None:
+        slots = range(len(self._episode.objects))
+        classes = [(slot + 1, self._name(slot), slot_color(slot)) for slot in slots]
+        classes.append((self._unmatched, "unmatched", UNMATCHED_COLOR))
+        self._log("/", rr.AnnotationContext([(0, "table", (0, 0, 0, 0)), *classes]), static=True)
+
+    @property
+    def _unmatched(self) -> int:
+        return len(self._episode.objects) + 1
+
+    def _log_table(self) -> None:
+        arena = self._env.arena
+        self._log("world", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+        self._log("world/table", table(arena.reach_x, arena.reach_y), static=True)
+        spawn = region(arena.spawn_x, arena.spawn_y, color=(200, 200, 200))
+        self._log("world/bounds/spawn", spawn, static=True)
+        allowed = region(arena.range_x, arena.range_y, color=(220, 60, 60))
+        self._log("world/bounds/range", allowed, static=True)
+
+    def _log_camera(self) -> None:
+        camera = self._episode.camera
+        pose = rr.Transform3D(translation=camera.position, mat3x3=camera.rotation)
+        self._log("world/camera", pose, pinhole(camera), static=True)
+
+    def _log_objects(self) -> None:
+        for slot, model in enumerate(self._episode.objects):
+            color = np.round(255 * self._episode.colors[slot]).astype(np.uint8)
+            self._log(f"world/objects/{slot}", skinned_mesh(model, color), static=True)
+            ghost = mesh(model, (*slot_color(slot), GOAL_ALPHA))
+            pose = transform(self._episode.goal.poses[slot])
+            self._log(f"world/goal/{slot}", ghost, pose, static=True)
+
+    def _log_goal(self) -> None:
+        goal = self._episode.goal
+        slots = node_slots(goal, self._radii, self._episode.camera)
+        self._log_picture("goal", goal, slots, static=True)
+        strips, classes = [], []
+        for node, slot in enumerate(slots):
+            contour = zero_contour(goal.sdf[node])
+            strips += contour
+            classes += [self._class_id(slot)] * len(contour)
+            if slot >= 0:
+                self._log_sdf(f"sdf/goal/{slot}", goal.sdf[node], slot, static=True)
+        outlines = rr.LineStrips2D(
+            strips, class_ids=classes, radii=0.25, show_labels=False, draw_order=20
+        )
+        self._log("world/camera/goal", outlines, static=True)
+
+    def _log_scene(self, scene: Scene) -> None:
+        """The picture, the masks, the poses, and the SDFs that changed."""
+        slots = node_slots(scene, self._radii, self._episode.camera)
+        self._log_picture("world/camera", scene, slots)
+        for slot, pose in enumerate(scene.poses):
+            self._log(f"world/objects/{slot}", transform(pose))
+        seen = {int(slot): scene.sdf[node].copy() for node, slot in enumerate(slots) if slot >= 0}
+        for slot, sdf in seen.items():
+            if not np.array_equal(sdf, self._drawn_sdfs.get(slot, np.empty(0))):
+                self._log_sdf(f"sdf/scene/{slot}", sdf, slot)
+        for slot in self._drawn_sdfs.keys() - seen.keys():
+            self._log(f"sdf/scene/{slot}", rr.Clear(recursive=True))
+        self._drawn_sdfs = seen
+        self._slots = slots
+
+    def _log_picture(
+        self, path: str, scene: Scene, slots: NDArray[np.intp], static: bool = False
+    ) -> None:
+        if scene.pixels is None:
+            raise SdfgcnError(
+                "The scene has no picture to record (Scene.pixels is None); set env.record to "
+                "True before the episode is reset."
+            )
+        labels = np.zeros(scene.pixels.shape[:2], dtype=np.uint8)
+        for mask, slot in zip(scene.masks, slots, strict=True):
+            labels[mask] = self._class_id(slot)
+        self._log(f"{path}/picture", png(scene.pixels), static=static)
+        masks = rr.SegmentationImage(labels, opacity=MASK_OPACITY, draw_order=10)
+        self._log(f"{path}/masks", masks, static=static)
+
+    def _class_id(self, slot: int) -> int:
+        return int(slot) + 1 if slot >= 0 else self._unmatched
+
+    def _log_sdf(
+        self, path: str, sdf: NDArray[np.float32], slot: int, static: bool = False
+    ) -> None:
+        contour = rr.LineStrips2D(
+            zero_contour(sdf), class_ids=slot + 1, radii=0.5, show_labels=False
+        )
+        self._log(path, sdf_image(sdf), static=static)
+        self._log(f"{path}/contour", contour, static=static)
+
+    def _log_sdf_names(self) -> None:
+        """Names at the lower edge, clear of most objects."""
+        edge = [0.5 * self._episode.camera.size, 0.95 * self._episode.camera.size]
+        for slot in range(len(self._episode.objects)):
+            name = rr.Points2D([edge], labels=self._name(slot), colors=slot_color(slot), radii=0)
+            for which in ("scene", "goal"):
+                self._log(f"sdf/{which}/{slot}/name", name, static=True)
+
+    def _log_push(self, step: StepRecord) -> None:
+        push = step.push
+        start, end = self._episode.camera.project(np.stack([push.start, push.end]))
+        color = STATUS_COLORS[push.status]
+        arrow = rr.Arrows2D(
+            origins=[start],
+            vectors=[end - start],
+            colors=color,
+            radii=1.0,
+            labels=push.status,
+            draw_order=30,
+        )
+        self._log("world/camera/push", arrow)
+        vector = np.subtract(push.end, push.start)
+        arrow_3d = rr.Arrows3D(origins=[push.start], vectors=[vector], colors=color, radii=0.004)
+        self._log("world/push", arrow_3d)
+        heading = push.direction * 360 // N_DIRECTIONS
+        text = (
+            f"Push {step.index} of {self._node_name(push.object)} towards {heading} degrees: "
+            f"{push.status.replace('_', ' ')}, reward {step.reward:+.3f}."
+        )
+        level = rr.TextLogLevel.INFO if push.status == "done" else rr.TextLogLevel.WARN
+        self._log("log", rr.TextLog(text, level=level, color=color))
+        if step.q_values is not None:
+            # Rows beyond the detected objects are padding.
+            q_values = np.asarray(step.q_values, dtype=np.float32)[: len(self._slots)]
+            self._log("q_values", rr.Tensor(q_values, dim_names=("node", "direction")))
+
+    def _node_name(self, node: int) -> str:
+        """Name of a node of the scene before the push."""
+        slot = self._slots[node] if node < len(self._slots) else -1
+        return self._name(slot) if slot >= 0 else f"node {node}"
+
+    def _log_figures(self, step: StepRecord) -> None:
+        self._return += step.reward
+        for slot, distance in enumerate(step.distances):
+            self._log(f"distance/{slot}", rr.Scalars(float(distance)))
+        self._log("distance/threshold", rr.Scalars(self._env.success_threshold))
+        self._log("reward/total", rr.Scalars(step.reward))
+        for term, value in step.reward_terms.items():
+            self._log(f"reward/terms/{term}", rr.Scalars(value))
+        self._log("outcome/return", rr.Scalars(self._return))
+        self._log("outcome/success", rr.Scalars(float(step.success)))
+        self._log("outcome/out_of_range", rr.Scalars(float(step.out_of_range)))
+
+    def _log_series_styles(self) -> None:
+        for slot in range(len(self._episode.objects)):
+            style = rr.SeriesLines(names=self._name(slot), colors=slot_color(slot))
+            self._log(f"distance/{slot}", style, static=True)
+        threshold = rr.SeriesLines(names="threshold of success", colors=(128, 128, 128))
+        self._log("distance/threshold", threshold, static=True)
+        self._log("reward/total", rr.SeriesLines(names="reward", widths=3.0), static=True)
+
+    def _log_summary(self) -> None:
+        episode, last = self._episode, self._last
+        outcome = _outcome(last)
+        pushes = last.index if last else 0
+        lines = [
+            f"# Seed {episode.seed}: {outcome}",
+            f"{pushes} pushes, return {self._return:.3f}",
+            "",
+            "| object | category | error (mm) |",
+            "| --- | --- | ---: |",
+        ]
+        for slot, model in enumerate(episode.objects):
+            error = f"{1000 * last.distances[slot]:.0f}" if last else ""
+            lines.append(f"| {self._name(slot)} | {model.category} | {error} |")
+        text = "\n".join(lines)
+        document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+        self._log("summary", document, static=True)
+        self._log("log", rr.TextLog(f"{outcome} after {pushes} pushes".capitalize() + "."))
+        assert self._stream is not None
+        properties = rr.AnyValues(
+            seed=episode.seed,
+            objects=[model.name for model in episode.objects],
+            outcome=outcome,
+            pushes=pushes,
+            undiscounted_return=self._return,
+        )
+        self._stream.send_property("episode", properties)
+
+    def _send_blueprint(self, with_q_values: bool) -> None:
+        assert self._stream is not None, "start() comes first"
+        layout = blueprint(self._env.arena, len(self._episode.objects), with_q_values)
+        self._stream.send_blueprint(layout)
+
+
+def _outcome(last: StepRecord | None) -> str:
+    if last is None:
+        return "no push"
+    if last.success:
+        return "success"
+    if last.out_of_range:
+        return "out of range"
+    if last.terminated:
+        return "terminated"
+    return "step limit" if last.truncated else "unfinished"

@@ -1,0 +1,145 @@
+import csv
+import dataclasses
+import time
+import traceback
+from pathlib import Path
+
+import numpy as np
+import pytest
+from configs import real_config
+from point_world import Endless, Notes, PointWorld, dying_world
+
+from sdfgcn.agents import build_agent
+from sdfgcn.config import Config
+from sdfgcn.episodes import Episode
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.evaluate import Evaluation, episode_seeds, evaluate, play_episode, watch
+from sdfgcn.loggers import LOGGERS
+
+
+def config(*overrides: str) -> Config:
+    return real_config("runtime.workers=0", "viz.episodes=0", "eval.episodes=4", *overrides)
+
+
+def point_world(tmp_path: Path, *overrides: str) -> Evaluation:
+    return Evaluation(config(*overrides), tmp_path / "recordings", Notes, PointWorld)
+
+
+def without_time(episodes: list[Episode]) -> list[Episode]:
+    rows = [dataclasses.replace(episode, wall_s=0.0) for episode in episodes]
+    return sorted(rows, key=lambda row: row.episode)
+
+
+class PlacedWorld(PointWorld):
+    """Two points: one 0.19 m left of its goal, one at its goal, 0.01 m off."""
+
+    def reset_episode(self, seed):
+        self.place(np.array([[[-0.19, 0.0], [0.1, 0.1]], [[0.0, 0.0], [0.1, 0.11]]]))
+        return self.observe()
+
+
+def play(world: PointWorld, **options) -> Episode:
+    agent = build_agent(config(), np.random.default_rng(0))
+    return play_episode(world, agent, episode=5, seed=11, **options)
+
+
+def test_episode_by_hand() -> None:
+    # 0.19 -> 0.13 -> 0.07 -> 0.01 m: three pushes of 0.06 m, each rewarded with 1.
+    episode = play(PlacedWorld(config("n_objects=2").env))
+    assert (episode.episode, episode.seed) == (5, 11)
+    assert (episode.n_objects, episode.objects) == (2, "apple;brick")
+    assert (episode.success, episode.truncated, episode.out_of_range) == (True, False, False)
+    assert (episode.pushes, episode.return_) == (3, 3.0)
+    assert episode.error_mm == pytest.approx((10 + 10) / 2)
+    assert 0 < episode.wall_s < 5
+
+
+def test_step_limit_truncates() -> None:
+    episode = play(PlacedWorld(config("n_objects=2", "env.pushes_per_object=1").env))
+    assert (episode.success, episode.truncated, episode.pushes) == (False, True, 2)
+    assert episode.error_mm == pytest.approx((70 + 10) / 2)
+
+
+def test_recorder_gets_the_start_and_every_push(tmp_path: Path) -> None:
+    world = PlacedWorld(config("n_objects=2").env)
+    with Notes(tmp_path / "notes", world.config) as recorder:
+        recorded = play(world, recorder=recorder)
+    assert recorder.lines == ["start", "push 1", "push 2", "push 3"]
+    assert world.record
+    assert without_time([play(world)]) == without_time([recorded])
+    assert not world.record
+
+
+def test_seeds_are_fixed_and_differ() -> None:
+    assert episode_seeds(0, 0)[0] == 4088532484  # pinned: a change would alter every result
+    seeds = {episode_seeds(seed, episode)[0] for seed in range(5) for episode in range(200)}
+    assert len(seeds) == 1000
+    assert max(seeds) < 2**32
+    draws = {episode_seeds(seed, 0)[1].random() for seed in range(5)}
+    assert len(draws) == 5
+
+
+def test_first_episodes_are_recorded(tmp_path: Path) -> None:
+    episodes = list(evaluate(point_world(tmp_path, "viz.episodes=2")))
+    notes = {path.name: path.read_text().splitlines() for path in tmp_path.glob("*/*")}
+    assert sorted(notes) == ["episode_000.rrd", "episode_001.rrd"]
+    for index in range(2):
+        assert len(notes[f"episode_00{index}.rrd"]) == 1 + episodes[index].pushes
+    plain = list(evaluate(point_world(tmp_path)))
+    assert without_time(plain) == without_time(episodes)
+
+
+def test_finished_episodes_are_left_out(tmp_path: Path) -> None:
+    every = list(evaluate(point_world(tmp_path)))
+    rest = list(evaluate(point_world(tmp_path), finished=[0, 2]))
+    assert [episode.episode for episode in rest] == [1, 3]
+    assert without_time(rest) == without_time([every[1], every[3]])
+    assert not list(evaluate(point_world(tmp_path, "runtime.workers=2"), finished=range(4)))
+
+
+def test_results_do_not_depend_on_workers(tmp_path: Path) -> None:
+    overrides = ("viz.episodes=1", "eval.episodes=6")
+    alone = list(evaluate(point_world(tmp_path / "0", *overrides)))
+    shared = list(evaluate(point_world(tmp_path / "2", *overrides, "runtime.workers=2")))
+    assert without_time(shared) == without_time(alone)
+    notes = [(tmp_path / n / "recordings/episode_000.rrd").read_text() for n in ("0", "2")]
+    assert notes[0] == notes[1]
+    assert len({episode.seed for episode in alone}) == 6
+
+
+def test_a_worker_that_breaks_stops_the_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = tmp_path / "first"
+    first.touch()
+    monkeypatch.setenv("FIRST_EPISODE", str(first))
+    evaluation = dataclasses.replace(
+        point_world(tmp_path, "runtime.workers=2", "eval.episodes=5"), make_env=Endless
+    )
+    begun = time.monotonic()
+    with pytest.raises(FloatingPointError, match="the simulation broke") as raised:
+        list(evaluate(evaluation))
+    assert time.monotonic() - begun < 50  # the others would play on for ever
+    assert "in reset_episode" in "".join(traceback.format_exception(raised.value))
+
+
+def test_a_worker_that_dies_is_told(tmp_path: Path) -> None:
+    evaluation = dataclasses.replace(
+        point_world(tmp_path, "runtime.workers=1"), make_env=dying_world
+    )
+    with pytest.raises(SdfgcnError, match=r"worker process died.*runtime\.workers"):
+        list(evaluate(evaluation))
+
+
+@pytest.mark.parametrize("name", sorted(LOGGERS))
+def test_watching_passes_episodes_on_and_logs_them(name: str, tmp_path: Path) -> None:
+    episodes = list(evaluate(point_world(tmp_path)))
+    done, rest = episodes[:1], episodes[1:]
+    assert list(watch(rest, done, total=4, logger=LOGGERS[name](tmp_path))) == rest
+    if name == "csv":
+        with (tmp_path / "metrics.csv").open() as file:
+            rows = list(csv.DictReader(file))
+        rates = [float(row["value"]) for row in rows if row["name"] == "success_rate"]
+        so_far = np.cumsum([episode.success for episode in episodes]) / np.arange(1, 5)
+        assert rates == pytest.approx(so_far[1:].tolist())
+        assert sorted({row["step"] for row in rows}) == ["2", "3", "4"]
