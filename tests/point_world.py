@@ -103,10 +103,6 @@ class Endless(PointWorld):
         return td
 
 
-def dying_world(config: EnvConfig) -> PointWorld:
-    os._exit(9)  # as the kernel does when memory runs out
-
-
 class Notes:
     """A recorder that writes what it was given as text."""
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from configs import real_config
-from point_world import Endless, Notes, PointWorld, dying_world
+from dying_world import dying_world
+from point_world import Endless, Notes, PointWorld
 
 from sdfgcn.agents import build_agent
 from sdfgcn.config import Config
@@ -15,6 +16,7 @@ from sdfgcn.episodes import Episode
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluate import Evaluation, episode_seeds, evaluate, play_episode, watch
 from sdfgcn.loggers import LOGGERS
+from sdfgcn.viz import RECORDERS
 
 
 def config(*overrides: str) -> Config:
@@ -124,9 +126,7 @@ def test_a_worker_that_breaks_stops_the_others(
 
 
 def test_a_worker_that_dies_is_told(tmp_path: Path) -> None:
-    evaluation = dataclasses.replace(
-        point_world(tmp_path, "runtime.workers=1"), make_env=dying_world
-    )
+    evaluation = Evaluation(config("runtime.workers=1"), tmp_path, RECORDERS["none"], dying_world)
     with pytest.raises(SdfgcnError, match=r"worker process died.*runtime\.workers"):
         list(evaluate(evaluation))
 

@@ -237,7 +237,7 @@ def test_pictures_and_masks(recording):
     assert [labels[48, 24], labels[24, 48], labels[72, 72], labels[0, 0]] == [1, 2, 3, 0]
     classes = recording["/", "AnnotationContext:context"][None][0]
     names = {entry["class_description"]["info"]["label"] for entry in classes}
-    assert {"0 red", "1 green", "2 blue"} <= names
+    assert {"#0 red", "#1 green", "#2 blue"} <= names
 
 
 def test_sdfs_are_drawn_when_they_change(recording):
@@ -283,10 +283,10 @@ def test_figures(recording):
 
 def test_words(recording):
     log = {push: cell[0] for push, cell in recording["/log", "TextLog:text"].items()}
-    assert log[1].startswith("Push 1 of 0 red towards 45 degrees: done")  # node 1 shows slot 0
+    assert log[1].startswith("#0 red towards 45 degrees: done")  # node 1 shows slot 0
     summary = recording["/summary", "TextDocument:text"][None][0]
     assert "Seed 7: step limit" in summary
-    assert "| 2 blue | block | 1000 |" in summary
+    assert "| #2 blue | block | 1000 |" in summary
 
 
 def test_layout_comes_with_the_file(recording):

@@ -61,7 +61,9 @@ class RearrangementEnv(EnvBase):
         self.camera = camera_model(config.arena)
         self.record = False  # whether episode_start and last_step hold RGB pictures
         self._task = RearrangementTask(config, self.catalogue)
-        self._environment = composer.Environment(self._task, recompile_mjcf_every_episode=False)
+        self._environment = composer.Environment(
+            self._task, recompile_mjcf_every_episode=False, legacy_step=False
+        )
         self._renderer: Renderer | None = None
         self._episode_seed: int | None = None
         self.episode_start: EpisodeStart

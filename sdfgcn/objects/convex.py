@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 
 import numpy as np
@@ -31,29 +32,34 @@ def compound_volume_centroid(pieces: Sequence[NDArray]) -> tuple[float, NDArray]
 
 
 def hull_vertices(points: NDArray, limit: int) -> NDArray:
-    """Return at most `limit` hull vertices of `points`, spread as far apart as possible.
+    """Return a convex hull like that of `points`, but with at most `limit` vertices.
 
-    Leaving out vertices shrinks a round shape, so the rest is grown about its mean until the
-    volume is the old one again.
+    Greedy: each step takes the vertex that stands out farthest from the hull so far. Leaving out
+    vertices shrinks a round shape, so what is left grows about its mean until the volume is the
+    old one again.
 
     Args:
         points: [P, 3].
-        limit: Largest number of vertices to keep.
+        limit: Largest number of vertices to keep, at least 8.
 
     Returns:
         [<= limit, 3]: the vertices of a hull with the volume of that of `points`.
     """
-    hull = ConvexHull(points)
-    vertices = points[hull.vertices]
+    full = ConvexHull(points)
+    vertices = points[full.vertices]
     if len(vertices) <= limit:
         return vertices
-    chosen = [int(np.argmax(np.linalg.norm(vertices - vertices.mean(axis=0), axis=1)))]
-    gap = np.linalg.norm(vertices - vertices[chosen[0]], axis=1)
+    axes = np.linalg.svd(vertices - vertices.mean(axis=0), full_matrices=False)[2]
+    signs = np.array(list(itertools.product((-1, 0, 1), repeat=3)))
+    # Start from the extremes along the principal axes and the diagonals between them.
+    chosen = list(dict.fromkeys((vertices @ (signs @ axes).T).argmax(axis=0).tolist()))[:limit]
     while len(chosen) < limit:
-        chosen.append(int(np.argmax(gap)))
-        gap = np.minimum(gap, np.linalg.norm(vertices - vertices[chosen[-1]], axis=1))
+        equations = ConvexHull(vertices[chosen]).equations
+        outside = (vertices @ equations[:, :3].T + equations[:, 3]).max(axis=1)
+        outside[chosen] = -np.inf
+        chosen.append(int(np.argmax(outside)))
     kept, middle = vertices[chosen], vertices[chosen].mean(axis=0)
-    return middle + (kept - middle) * np.cbrt(hull.volume / ConvexHull(kept).volume)
+    return middle + (kept - middle) * np.cbrt(full.volume / ConvexHull(kept).volume)
 
 
 def diameter(points: NDArray) -> float:

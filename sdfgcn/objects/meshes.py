@@ -20,8 +20,10 @@ def decimate(
 ) -> tuple[NDArray, NDArray, NDArray | None]:
     """Reduce a mesh to at most `max_faces` by vertex clustering, finest grid that fits.
 
-    Vertices merge only when they share a grid cell, the octant of their normals (so the two
-    sides of a thin wall stay apart) and their texture chart (so a seam stays sharp).
+    Vertices merge when they share a grid cell and roughly a normal, so the two sides of a thin
+    wall stay apart. Each cluster's vertex lies where the planes of its faces meet best (quadric
+    error, Lindstrom 2000), so edges and corners stay sharp. At a texture seam the charts share
+    the position and keep their own uv, so no crack opens.
 
     Args:
         vertices: [V, 3].
@@ -34,48 +36,81 @@ def decimate(
     """
     if len(faces) <= max_faces:
         return vertices, faces, uv
+    quadrics, normals = _quadrics(vertices, faces)
     charts = np.zeros(len(vertices), int) if uv is None else _charts(len(vertices), faces)
-    labels = np.column_stack([_normals(vertices, faces) > 0, charts])
     size = float(np.ptp(vertices, axis=0).max())
     low, high = 4, 512  # cells along the longest side
-    best = _cluster(vertices, faces, uv, labels, size / low)
+    best = _cluster(vertices, faces, normals, charts, size / low)
     while high - low > 1:
         cells = (low + high) // 2
-        trial = _cluster(vertices, faces, uv, labels, size / cells)
-        if len(trial[1]) <= max_faces:
+        trial = _cluster(vertices, faces, normals, charts, size / cells)
+        if len(trial[2]) <= max_faces:
             low, best = cells, trial
         else:
             high = cells
-    return best
+    places, corners, reduced = best
+    placed = _best_points(vertices, quadrics, places, size / low)
+    used, reduced = np.unique(reduced, return_inverse=True)
+    first = np.unique(corners, return_index=True)[1]  # some old vertex of each new one
+    new_uv = None if uv is None else _means(uv, corners)[used]
+    return placed[places[first[used]]], reduced.reshape(-1, 3), new_uv
 
 
 def _cluster(
-    vertices: NDArray, faces: NDArray, uv: NDArray | None, labels: NDArray, cell: float
-) -> tuple[NDArray, NDArray, NDArray | None]:
-    keys = np.column_stack([np.floor((vertices - vertices.min(axis=0)) / cell).astype(int), labels])
-    _, index = np.unique(keys, axis=0, return_inverse=True)
-    index = index.ravel()
-    count = np.bincount(index)[:, None]
-    both = vertices if uv is None else np.column_stack([vertices, uv])
-    means = np.column_stack([np.bincount(index, weights=column) for column in both.T]) / count
-    reduced = index[faces]
-    reduced = reduced[_not_degenerate(reduced)]
+    vertices: NDArray, faces: NDArray, normals: NDArray, charts: NDArray, cell: float
+) -> tuple[NDArray, NDArray, NDArray]:
+    """Group vertices: by place [V], by place and chart [V]; and the faces that remain [G, 3]."""
+    grid = np.floor((vertices - vertices.min(axis=0)) / cell)
+    keys = np.column_stack([grid, np.rint(normals)]).astype(int)
+    places = np.unique(keys, axis=0, return_inverse=True)[1].ravel()
+    pairs = np.column_stack([places, charts])
+    corners = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
+    kept = faces[_not_degenerate(places[faces])]
     # The same face may come from several old ones: keep one of each, turned to a standard start.
-    turn = reduced.argmin(axis=1)
-    reduced = np.take_along_axis(reduced, (turn[:, None] + np.arange(3)) % 3, axis=1)
-    reduced = np.unique(reduced, axis=0)
-    used, reduced = np.unique(reduced, return_inverse=True)
-    means = means[used]
-    return means[:, :3], reduced.reshape(-1, 3), None if uv is None else means[:, 3:]
+    spots = places[kept]
+    order = (spots.argmin(axis=1)[:, None] + np.arange(3)) % 3
+    turned = np.take_along_axis(spots, order, axis=1)
+    first = np.unique(turned, axis=0, return_index=True)[1]
+    return places, corners, corners[kept[first]]
 
 
-def _normals(vertices: NDArray, faces: NDArray) -> NDArray:
+def _best_points(vertices: NDArray, quadrics: NDArray, places: NDArray, cell: float) -> NDArray:
+    """The point of each cluster that lies nearest to all planes of its faces, [K, 3]."""
+    means = _means(vertices, places)
+    total = np.zeros((len(means), 3, 4))
+    np.add.at(total, places, quadrics)
+    matrix, vector = total[:, :, :3], total[:, :, 3]
+    residual = vector - np.einsum("kij,kj->ki", matrix, means)
+    step = np.einsum("kij,kj->ki", np.linalg.pinv(matrix, rcond=0.02, hermitian=True), residual)
+    # A nearly flat cluster may put the point far away: never leave the neighbourhood.
+    length = np.linalg.norm(step, axis=1, keepdims=True)
+    return means + step * np.minimum(1.0, cell / np.maximum(length, 1e-12))
+
+
+def _quadrics(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:
+    """Per vertex: sum of n n^T and n (n.p) over its faces [V, 3, 4], and unit normal [V, 3].
+
+    Vertices that were doubled at a texture seam share both.
+    """
+    _, index = np.unique(vertices, axis=0, return_inverse=True)
+    corners = index.ravel()[faces]
     a, b, c = (vertices[faces[:, k]] for k in range(3))
-    face_normals = np.cross(b - a, c - a)
-    out = np.zeros_like(vertices)
+    normals = np.cross(b - a, c - a)  # length: twice the area, which weighs the face
+    unit = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)
+    plane = np.concatenate([unit, np.einsum("ij,ij->i", unit, a)[:, None]], axis=1)
+    weighted = normals[:, :, None] * plane[:, None, :]
+    quadrics = np.zeros((index.max() + 1, 3, 4))
+    total = np.zeros((index.max() + 1, 3))
     for k in range(3):
-        np.add.at(out, faces[:, k], face_normals)
-    return out
+        np.add.at(quadrics, corners[:, k], weighted)
+        np.add.at(total, corners[:, k], normals)
+    total /= np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-20)
+    return quadrics[index.ravel()], total[index.ravel()]
+
+
+def _means(values: NDArray, index: NDArray) -> NDArray:
+    count = np.bincount(index)[:, None]
+    return np.column_stack([np.bincount(index, weights=column) for column in values.T]) / count
 
 
 def _charts(n: int, faces: NDArray) -> NDArray:

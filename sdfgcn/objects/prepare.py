@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import QhullError
 from scipy.spatial.transform import Rotation
 
 from sdfgcn.config import ObjectsConfig
@@ -28,9 +29,12 @@ def prepare(recipe: Recipe, cfg: ObjectsConfig) -> ObjectModel:
         The scaled object with its resting poses.
 
     Raises:
-        SdfgcnError: The object never comes to rest.
+        SdfgcnError: The object never comes to rest, or a collision piece of it is flat.
     """
-    shape = _centred(_reduced(recipe.build(), cfg))
+    try:
+        shape = _centred(_reduced(recipe.build(), cfg))
+    except QhullError as error:
+        raise SdfgcnError(f"The object {recipe.name} has a convex piece without volume.") from error
     first = _first_scale(shape, cfg)
     shape = _scaled(shape, first)
     for _ in range(3):

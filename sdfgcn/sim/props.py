@@ -19,6 +19,9 @@ from sdfgcn.config import PhysicsConfig
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.sim.arena import GROUP_COLLISION, GROUP_PARKED
 
+# Contact bits: props touch the table and each other (bit 0), and robots (bit 1).
+CONTYPE_PROP = 1
+CONAFFINITY_PROP = 3
 PARKING = np.array([4.0, 0.0, 1.0])  # metres; far from the table, outside the camera's view
 
 
@@ -42,8 +45,9 @@ class Prop(composer.Entity):
             **({"material": material} if material else {"rgba": [0.6, 0.6, 0.6, 1.0]}),
         )
         volumes = np.array([ConvexHull(piece).volume for piece in model.pieces])
-        for i, (piece, volume) in enumerate(zip(model.pieces, volumes, strict=True)):
+        for i, piece in enumerate(model.pieces):
             self._root.asset.add("mesh", name=f"piece{i}", vertex=piece.ravel())
+        self.pieces = [
             body.add(
                 "geom",
                 name=f"piece{i}",
@@ -58,9 +62,11 @@ class Prop(composer.Entity):
                     physics.rolling_friction,
                 ],
                 solref=list(physics.solref),
-                contype=1,
-                conaffinity=3,  # touches table and props (bit 0) and the robot (bit 1)
+                contype=CONTYPE_PROP,
+                conaffinity=CONAFFINITY_PROP,
             )
+            for i, (piece, volume) in enumerate(zip(model.pieces, volumes, strict=True))
+        ]
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:

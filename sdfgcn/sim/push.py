@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import mujoco
 import numpy as np
 from dm_control import mjcf
@@ -68,8 +70,8 @@ class PushPrimitive:
         yaw = direction_angle(command.direction) % np.pi - np.pi / 2
         try:
             q_above = self._robot.solve(np.array([*above, yaw]))
-            descent = _Segment(self._robot, yaw, above, start, q_above, config.knot)
-            push = _Segment(self._robot, yaw, start, end, descent.joints[-1], config.knot)
+            descent = _Path(self._robot, yaw, above, start, q_above, config.knot)
+            push = _Path(self._robot, yaw, start, end, descent.joints[-1], config.knot)
         except Unreachable:
             return "unreachable", start, start
 
@@ -78,76 +80,75 @@ class PushPrimitive:
         reached, blocked = self._follow(
             physics, descent, config.descent_speed, stop_at=config.blocked_force
         )
-        status: PushStatus = "blocked"
-        if not blocked:
-            reached, touched = self._push(physics, push, command.free + config.length)
-            status = "done" if touched else "no_contact"
-        self._lift(physics, yaw, reached)
-        return status, start, start if blocked else reached.position
+        if blocked:
+            self._lift(physics, yaw, *descent.at(reached))
+            return "blocked", start, start
+        reached, touched = self._push(physics, push, command.free + config.length)
+        position, joints = push.at(reached)
+        self._lift(physics, yaw, position, joints)
+        return ("done" if touched else "no_contact"), start, position
 
-    def _push(self, physics: mjcf.Physics, segment: _Segment, expected: float):
+    def _push(self, physics: mjcf.Physics, path: _Path, expected: float) -> tuple[float, bool]:
         """Push `length` past the first touch; `expected` metres if nothing is touched."""
         config = self._config
-        free, touched = self._follow(physics, segment, config.speed, until=expected, stop_at=0.0)
-        if not touched:
-            return free, False
-        stop = free.travelled + config.length
-        reached, _ = self._follow(physics, segment, config.speed, origin=free, until=stop)
-        return reached, True
+        reached, touched = self._follow(physics, path, config.speed, until=expected, stop_at=0.0)
+        if touched:
+            stop = reached + config.length
+            reached, _ = self._follow(physics, path, config.speed, origin=reached, until=stop)
+        return reached, touched
 
-    def _lift(self, physics: mjcf.Physics, yaw: float, bottom: _Waypoint) -> None:
+    def _lift(self, physics: mjcf.Physics, yaw: float, bottom: NDArray, joints: NDArray) -> None:
         """Straight up to the approach height, then home."""
         config = self._config
-        top = np.array([*bottom.position[:2], config.height + config.approach])
-        try:
-            rise = _Segment(self._robot, yaw, bottom.position, top, bottom.joints, config.approach)
+        top = np.array([*bottom[:2], config.height + config.approach])
+        # Out of reach half-way up, the arm leaves for home from where it is.
+        with contextlib.suppress(Unreachable):
+            rise = _Path(self._robot, yaw, bottom, top, joints, config.approach)
             self._follow(physics, rise, config.lift_speed)
-        except Unreachable:
-            pass  # the arm leaves straight for home, as it does from the top otherwise
         self._robot.place(physics, self._robot.home)
 
     def _follow(
         self,
         physics: mjcf.Physics,
-        segment: _Segment,
+        path: _Path,
         speed: float,
         *,
-        origin: _Waypoint | None = None,
+        origin: float = 0.0,
         until: float = np.inf,
         stop_at: float | None = None,
-    ) -> tuple[_Waypoint, bool]:
-        """Drive along a segment. Returns where the tool was sent last and whether it touched.
+    ) -> tuple[float, bool]:
+        """Drive the tool along a path.
 
         Args:
             physics: Stepped in place.
-            segment: The path.
+            path: Where to go.
             speed: Metres per second.
-            origin: Where on the segment to begin; its first point by default.
-            until: Metres along the segment at which to end.
+            origin: Metres along the path at which to begin.
+            until: Metres along the path at which to end.
             stop_at: Stop once props press on the robot with more than this, newtons.
+
+        Returns:
+            How far along the path the tool was sent, and whether it was stopped.
         """
         tick = self._config.control_timestep
         steps = round(tick / physics.timestep())
-        here = origin or segment.at(0.0)
-        goal = min(until, segment.length)
-        while here.travelled < goal - 1e-9:
-            there = segment.at(min(here.travelled + speed * tick, goal))
-            velocity = (there.joints - here.joints) / tick
-            self._robot.command(physics, there.joints, velocity)
-            physics.step(nstep=steps)
-            here = there
-            if stop_at is not None and self._pressure(physics) > stop_at:
-                return here, True
-        return here, False
+        until = min(until, path.length)
+        ticks = max(1, int(np.ceil((until - origin) / (speed * tick) - 1e-9)))
+        travelled = np.linspace(origin, until, ticks + 1)
+        joints = path.joints_at(travelled)
+        model, data = physics.model.ptr, physics.data.ptr
+        for i in range(1, ticks + 1):
+            self._robot.command(data, joints[i], (joints[i] - joints[i - 1]) / tick)
+            mujoco.mj_step(model, data, steps)
+            if stop_at is not None and data.ncon and self._pressure(model, data) > stop_at:
+                return float(travelled[i]), True
+        return float(until), False
 
-    def _pressure(self, physics: mjcf.Physics) -> float:
+    def _pressure(self, model: mujoco.MjModel, data: mujoco.MjData) -> float:
         """Sum of the normal forces of props on the robot, newtons."""
-        contact = physics.data.contact
-        if len(contact) == 0:
-            return 0.0
         total = 0.0
-        for i in np.flatnonzero(self._robot.owns_geom[contact.geom].any(axis=1)):
-            mujoco.mj_contactForce(physics.model.ptr, physics.data.ptr, int(i), self._force)
+        for i in np.flatnonzero(self._robot.owns_geom[data.contact.geom].any(axis=1)):
+            mujoco.mj_contactForce(model, data, int(i), self._force)
             total += self._force[0]
         return total
 
@@ -159,16 +160,7 @@ class PushPrimitive:
         return float(max(0.0, min(wanted, limits.min())))
 
 
-class _Waypoint:
-    """A point on a segment: how far along it, where the tool is, and the joints for that."""
-
-    def __init__(self, travelled: float, position: NDArray, joints: NDArray):
-        self.travelled = travelled
-        self.position = position
-        self.joints = joints
-
-
-class _Segment:
+class _Path:
     """A straight tool path at one yaw, solved at knots; joints are linear in between."""
 
     def __init__(self, robot: Robot, yaw: float, origin, target, q_origin: NDArray, knot: float):
@@ -177,13 +169,17 @@ class _Segment:
         count = max(1, int(np.ceil(self.length / knot)))
         self._knots = np.linspace(0.0, self.length, count + 1)
         joints = [q_origin]
-        for i in range(1, count + 1):
-            position = origin + (target - origin) * (i / count)
+        for share in np.linspace(0.0, 1.0, count + 1)[1:]:
+            position = origin + (target - origin) * share
             joints.append(robot.solve(np.array([*position, yaw]), near=joints[-1]))
         self.joints = np.array(joints)
 
-    def at(self, travelled: float) -> _Waypoint:
+    def joints_at(self, travelled: NDArray) -> NDArray:
+        """[T, drives] joint positions at [T] metres along the path."""
+        return np.stack([np.interp(travelled, self._knots, q) for q in self.joints.T], axis=-1)
+
+    def at(self, travelled: float) -> tuple[NDArray, NDArray]:
+        """Tool position [3] and joint positions, `travelled` metres along the path."""
         share = travelled / self.length if self.length > 0.0 else 0.0
         position = self._origin + (self._target - self._origin) * share
-        joints = np.array([np.interp(travelled, self._knots, q) for q in self.joints.T])
-        return _Waypoint(travelled, position, joints)
+        return position, self.joints_at(np.array([travelled]))[0]

@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 from dm_control import composer, mjcf
 from dm_env import specs
+from mujoco import mjtSleepPolicy
 from numpy.typing import NDArray
 
 from sdfgcn.config import N_DIRECTIONS, EnvConfig
@@ -15,7 +16,7 @@ from sdfgcn.objects.model import ObjectModel
 from sdfgcn.sim.arena import GROUP_PARKED, GROUP_SCENE, Table
 from sdfgcn.sim.episode import Episode
 from sdfgcn.sim.placement import Region
-from sdfgcn.sim.props import PARKING, Prop
+from sdfgcn.sim.props import CONAFFINITY_PROP, CONTYPE_PROP, PARKING, Prop
 from sdfgcn.sim.push import PushPrimitive
 from sdfgcn.sim.reward import reward_terms
 from sdfgcn.sim.robots import ROBOTS
@@ -38,7 +39,7 @@ class RearrangementTask(composer.Task):
         self._props = [Prop(model=model, physics=config.physics) for model in catalogue]
         for i, prop in enumerate(self._props):
             # Parked from the start: props piled up at the origin would all be in contact.
-            self._table.add_free_entity(prop).pos = _parking(i)
+            self._table.add_free_entity(prop).pos = PARKING + [0.5 * i, 0.0, 0.0]
         self._primitive = PushPrimitive(config.push, config.arena, self.robot)
         self._range = Region.range(config.arena)
         self.control_timestep = config.physics.timestep
@@ -61,6 +62,10 @@ class RearrangementTask(composer.Task):
         self._qvel = np.reshape(qvel, (len(joints), -1))[:, :1] + np.arange(6)
         self._bodies = physics.bind(bodies).element_id
         self._visuals = physics.bind([prop.visual for prop in self._props]).element_id
+        self._pieces = physics.bind([g for prop in self._props for g in prop.pieces]).element_id
+        self._piece_props = np.repeat(
+            np.arange(len(self._props)), [len(prop.pieces) for prop in self._props]
+        )
         self.slot_of_geom = np.full(physics.model.ngeom + 1, -1)
 
     def begin(self, episode: Episode) -> None:
@@ -87,15 +92,24 @@ class RearrangementTask(composer.Task):
         self.resume(physics, self.poses(physics))
 
     def _dress(self, physics: mjcf.Physics) -> None:
-        """Show and colour the episode's props, hide the others."""
-        chosen = self.episode.objects
-        model = physics.model
-        model.geom_group[self._visuals] = GROUP_PARKED
-        model.geom_group[self._visuals[chosen]] = GROUP_SCENE
+        """Show and colour the episode's props; park the others.
+
+        A parked prop is hidden, touches nothing and sleeps from the start, so that it costs
+        next to nothing however large the catalogue is.
+        """
+        model, chosen = physics.model, self.episode.objects
+        active = np.zeros(len(self._props), dtype=bool)
+        active[chosen] = True
+        model.geom_group[self._visuals] = np.where(active, GROUP_SCENE, GROUP_PARKED)
         model.geom_rgba[self._visuals[chosen]] = self.episode.colors
-        # Gravity compensation holds the parked props where they are until they fall asleep.
-        model.body_gravcomp[self._bodies] = 1.0
-        model.body_gravcomp[self._bodies[chosen]] = 0.0
+        touching = active[self._piece_props]
+        model.geom_contype[self._pieces] = touching * CONTYPE_PROP
+        model.geom_conaffinity[self._pieces] = touching * CONAFFINITY_PROP
+        model.body_contype[self._bodies] = active * CONTYPE_PROP
+        model.body_conaffinity[self._bodies] = active * CONAFFINITY_PROP
+        model.tree_sleep_policy[model.body_treeid[self._bodies]] = np.where(
+            active, int(mjtSleepPolicy.mjSLEEP_ALLOWED), int(mjtSleepPolicy.mjSLEEP_INIT)
+        )
         self.slot_of_geom[:] = -1
         self.slot_of_geom[self._visuals[chosen]] = np.arange(len(chosen))
 
@@ -117,15 +131,22 @@ class RearrangementTask(composer.Task):
         """Execute the push and let the props come to rest."""
         del random_state
         command = PushCommand(start=action[:2], direction=int(action[2]), free=float(action[3]))
-        self._previous = self._distances
-        self.rest(physics)
         status, start, end = self._primitive.execute(physics, command)
         if status != "unreachable":
             self._settle(physics)
-        self._distances = self.distances(physics)
         self.last_push = Push(
             object=-1, direction=command.direction, start=start, end=end, status=status
         )
+
+    def after_step(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
+        """Leave the simulation in a state that follows from the props' poses alone.
+
+        Velocities, warm starts and sleep are cleared, so that the next push depends on nothing
+        that a saved pose does not hold.
+        """
+        del random_state
+        self.set_poses(physics, self.poses(physics))
+        self._previous, self._distances = self._distances, self.distances(physics)
 
     def get_reward(self, physics: mjcf.Physics) -> float:
         """The sum of the reward's terms, as far as the simulation can tell."""
@@ -168,10 +189,11 @@ class RearrangementTask(composer.Task):
 
     def set_poses(self, physics: mjcf.Physics, poses: NDArray) -> None:
         """Put the episode's objects at [n, 7] poses, everything at rest, the robot at home."""
-        parked = [[*_parking(i), 1.0, 0.0, 0.0, 0.0] for i in range(len(self._props))]
-        everywhere = np.array(parked)
-        everywhere[self.episode.objects] = poses
-        self._restart(physics, everywhere)
+        # Not physics.reset(): that runs the whole forward pass once more.
+        mujoco.mj_resetData(physics.model.ptr, physics.data.ptr)
+        physics.data.qpos[self._qpos[self.episode.objects]] = poses
+        self.robot.place(physics, self.robot.home)
+        physics.forward()
 
     def resume(self, physics: mjcf.Physics, poses: NDArray) -> None:
         """Go on from [n, 7] poses as if the last push had left the objects there."""
@@ -179,32 +201,13 @@ class RearrangementTask(composer.Task):
         self.last_push = None
         self._previous = self._distances = self.distances(physics)
 
-    def rest(self, physics: mjcf.Physics) -> None:
-        """Bring the simulation to a state that follows from the props' poses alone.
-
-        Velocities, warm starts and sleep are all cleared, so a push depends on nothing that a
-        saved pose does not hold.
-        """
-        self._restart(physics, physics.data.qpos[self._qpos].copy())
-
-    def _restart(self, physics: mjcf.Physics, everywhere: NDArray) -> None:
-        # Not physics.reset(): that runs the whole forward pass once more.
-        mujoco.mj_resetData(physics.model.ptr, physics.data.ptr)
-        physics.data.qpos[self._qpos] = everywhere
-        self.robot.place(physics, self.robot.home)
-        physics.forward()
-
     def _settle(self, physics: mjcf.Physics) -> None:
         """Step until the props are at rest, at most `settle_seconds`."""
         config = self._config.physics
         chunk = 10
         velocities = self._qvel[self.episode.objects]
         for _ in range(round(config.settle_seconds / (chunk * config.timestep))):
-            physics.step(nstep=chunk)
+            mujoco.mj_step(physics.model.ptr, physics.data.ptr, chunk)
             if np.abs(physics.data.qvel[velocities]).max() < config.settle_speed:
                 return
 
-
-def _parking(index: int) -> NDArray[np.float64]:
-    """Where prop number `index` waits while it is not in the episode, metres."""
-    return PARKING + np.array([0.5 * index, 0.0, 0.0])

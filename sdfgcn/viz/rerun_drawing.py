@@ -13,6 +13,7 @@ from PIL import Image
 from sdfgcn.config import ArenaConfig
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.sim.camera import CameraModel
+from sdfgcn.sim.types import PushStatus
 from sdfgcn.viz.geometry import vertex_normals
 
 TIMELINE = "push"
@@ -32,15 +33,15 @@ _PALETTE: tuple[Color, ...] = (
     (153, 153, 153),
 )
 UNMATCHED_COLOR: Color = (255, 0, 255)
-STATUS_COLORS: dict[str, Color] = {
+STATUS_COLORS: dict[PushStatus, Color] = {
     "done": (40, 200, 80),
     "blocked": (230, 50, 50),
     "unreachable": (140, 140, 140),
     "no_contact": (240, 180, 40),
 }
-MASK_OPACITY = 0.45
+MASK_OPACITY = 0.35
 GOAL_ALPHA = 90  # of 255
-_SDF_RANGE = 16.0  # pixels from zero to the ends of the colour map
+_SDF_RANGE = 24.0  # pixels from zero to the ends of the colour map
 
 
 def slot_color(slot: int) -> Color:
@@ -62,6 +63,26 @@ def sdf_image(sdf: NDArray[np.float32]) -> rr.DepthImage:
         meter=1.0,
         colormap=rr.components.Colormap.CyanToYellow,
         depth_range=(-_SDF_RANGE, _SDF_RANGE),
+    )
+
+
+def arrow_2d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows2D:
+    """A push in the picture; start and end are [2] pixels."""
+    return rr.Arrows2D(
+        origins=[start],
+        vectors=[end - start],
+        colors=STATUS_COLORS[status],
+        radii=1.0,
+        labels=status,
+        show_labels=status != "done",  # the colour says it, and a word covers objects
+        draw_order=30,
+    )
+
+
+def arrow_3d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows3D:
+    """A push in the world; start and end are [3] metres."""
+    return rr.Arrows3D(
+        origins=[start], vectors=[end - start], colors=STATUS_COLORS[status], radii=0.004
     )
 
 
@@ -133,7 +154,7 @@ def blueprint(arena: ArenaConfig, n_objects: int, with_q_values: bool) -> rrb.Bl
     )
     sdfs = rrb.Grid(
         *(
-            rrb.Spatial2DView(origin=f"sdf/{which}/{slot}", name=f"SDF {slot}, {which}")
+            rrb.Spatial2DView(origin=f"sdf/{which}/{slot}", name=f"#{slot} {which}")
             for slot in range(n_objects)
             for which in ("scene", "goal")
         ),
@@ -141,7 +162,9 @@ def blueprint(arena: ArenaConfig, n_objects: int, with_q_values: bool) -> rrb.Bl
         name="SDFs",
     )
     words = rrb.Tabs(
-        rrb.TextLogView(origin="log", name="Log"),
+        rrb.TextLogView(
+            origin="log", name="Log", columns=rrb.TextLogColumns(text_log_columns=["Body"])
+        ),
         rrb.TextDocumentView(origin="summary", name="Summary"),
     )
     q_values = [rrb.TensorView(origin="q_values", name="Q-values")] if with_q_values else []
@@ -165,7 +188,7 @@ def _world_view(arena: ArenaConfig) -> rrb.Spatial3DView:
     """Seen from the camera's side of the table, so that left and right are as in the pictures."""
     (x_low, x_high), (y_low, y_high) = arena.reach_x, arena.reach_y
     centre = np.array([(x_low + x_high) / 2, (y_low + y_high) / 2, 0.0])
-    eye = centre + (y_high - y_low) * np.array([0.3, -1.2, 1.0])
+    eye = centre + (y_high - y_low) * np.array([0.2, -1.0, 0.8])
     return rrb.Spatial3DView(
         origin="world",
         name="World",

@@ -38,6 +38,8 @@ from sdfgcn.viz.rerun_drawing import (
     STATUS_COLORS,
     TIMELINE,
     UNMATCHED_COLOR,
+    arrow_2d,
+    arrow_3d,
     blueprint,
     mesh,
     pinhole,
@@ -154,7 +156,7 @@ class RerunRecorder(Recorder):
         self._stream.set_time(TIMELINE, sequence=push)
 
     def _name(self, slot: int) -> str:
-        return f"{slot} {self._episode.objects[slot].name}"
+        return f"#{slot} {self._episode.objects[slot].name}"
 
     def _log_classes(self) -> None:
         slots = range(len(self._episode.objects))
@@ -248,7 +250,7 @@ class RerunRecorder(Recorder):
 
     def _log_sdf_names(self) -> None:
         """Names at the lower edge, clear of most objects."""
-        edge = [0.5 * self._episode.camera.size, 0.95 * self._episode.camera.size]
+        edge = [0.5 * self._episode.camera.size, 0.84 * self._episode.camera.size]
         for slot in range(len(self._episode.objects)):
             name = rr.Points2D([edge], labels=self._name(slot), colors=slot_color(slot), radii=0)
             for which in ("scene", "goal"):
@@ -257,26 +259,15 @@ class RerunRecorder(Recorder):
     def _log_push(self, step: StepRecord) -> None:
         push = step.push
         start, end = self._episode.camera.project(np.stack([push.start, push.end]))
-        color = STATUS_COLORS[push.status]
-        arrow = rr.Arrows2D(
-            origins=[start],
-            vectors=[end - start],
-            colors=color,
-            radii=1.0,
-            labels=push.status,
-            draw_order=30,
-        )
-        self._log("world/camera/push", arrow)
-        vector = np.subtract(push.end, push.start)
-        arrow_3d = rr.Arrows3D(origins=[push.start], vectors=[vector], colors=color, radii=0.004)
-        self._log("world/push", arrow_3d)
+        self._log("world/camera/push", arrow_2d(start, end, push.status))
+        self._log("world/push", arrow_3d(push.start, push.end, push.status))
         heading = push.direction * 360 // N_DIRECTIONS
         text = (
-            f"Push {step.index} of {self._node_name(push.object)} towards {heading} degrees: "
+            f"{self._node_name(push.object)} towards {heading} degrees: "
             f"{push.status.replace('_', ' ')}, reward {step.reward:+.3f}."
         )
         level = rr.TextLogLevel.INFO if push.status == "done" else rr.TextLogLevel.WARN
-        self._log("log", rr.TextLog(text, level=level, color=color))
+        self._log("log", rr.TextLog(text, level=level, color=STATUS_COLORS[push.status]))
         if step.q_values is not None:
             # Rows beyond the detected objects are padding.
             q_values = np.asarray(step.q_values, dtype=np.float32)[: len(self._slots)]

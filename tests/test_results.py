@@ -1,0 +1,260 @@
+import json
+import subprocess
+from pathlib import Path
+
+import pytest
+from configs import compose_config, real_config
+from omegaconf import OmegaConf
+
+from sdfgcn.episodes import COLUMNS, Episode, EpisodeTable
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import write_json
+from sdfgcn.paper import paper_figure
+from sdfgcn.results import git_state, mean, summarise, t_interval, table, wilson
+from sdfgcn.runs import RunFolder
+
+
+def episode(index: int, success: bool = True, pushes: int = 10, error_mm: float = 20.0) -> Episode:
+    return Episode(
+        episode=index,
+        seed=1000 + index,
+        n_objects=2,
+        objects="bowl;cup",
+        success=success,
+        pushes=pushes,
+        error_mm=error_mm,
+        out_of_range=not success,
+        truncated=False,
+        return_=1.25,
+        wall_s=0.5,
+    )
+
+
+# ------------------------------------------------------------------ statistics
+
+
+def test_wilson_by_hand() -> None:
+    # (p + z^2/2n -+ z sqrt(p(1-p)/n + z^2/4n^2)) / (1 + z^2/n), p = 0.8, n = 20, z = 1.959964
+    assert wilson(16, 20) == pytest.approx((0.58398, 0.91934), abs=1e-5)
+    assert wilson(0, 20) == pytest.approx((0.0, 0.16113), abs=1e-5)  # z^2 / (n + z^2)
+    assert wilson(20, 20) == pytest.approx((0.83887, 1.0), abs=1e-5)
+
+
+def test_t_interval_by_hand() -> None:
+    # mean 20, standard deviation 10, t(0.975, 2) = 4.30265: 4.30265 * 10 / sqrt(3) = 24.8414
+    assert t_interval([10.0, 20.0, 30.0]) == pytest.approx((-4.8414, 44.8414), abs=1e-4)
+    assert t_interval([10.0]) is None
+    assert t_interval([]) is None
+    assert mean([]) is None
+
+
+def test_pushes_and_error_are_means_over_successes() -> None:
+    config = real_config("n_objects=2", "objects=household", "robot=gripper", "seed=7")
+    episodes = [
+        episode(0, pushes=10, error_mm=20.0),
+        episode(1, pushes=20, error_mm=40.0),
+        episode(2, success=False, pushes=90, error_mm=300.0),
+        episode(3, success=False, pushes=80, error_mm=500.0),
+    ]
+    results = summarise(config, episodes, wall_s=12.5)
+    expected = {
+        "model": "rule_based",
+        "objects": "household",
+        "split": "test",
+        "n_objects": 2,
+        "robot": "gripper",
+        "scenario": "random",
+        "perception": "oracle",
+        "seed": 7,
+        "episodes": 4,
+        "success_rate": 0.5,
+        "steps": 15.0,
+        "error_mm": 30.0,
+        "out_of_range_rate": 0.5,
+        "truncated_rate": 0.0,
+        "episode_seeds": [1000, 1001, 1002, 1003],
+        "wall_s": 12.5,
+    }
+    assert {key: results[key] for key in expected} == expected
+    assert results["success_rate_ci95"] == wilson(2, 4)
+    # 15 -+ t(0.975, 1) * 7.0711 / sqrt(2) = 15 -+ 12.7062 * 5
+    assert results["steps_ci95"] == pytest.approx((-48.531, 78.531), abs=1e-3)
+    assert {"python", "mujoco", "torch"} <= set(results["versions"])
+    json.dumps(results, allow_nan=False)
+
+
+def test_nothing_succeeded() -> None:
+    results = summarise(real_config(), [episode(0, success=False)], wall_s=1.0)
+    empty = ("steps", "steps_ci95", "error_mm", "error_mm_ci95")
+    assert [results[key] for key in empty] == [None] * 4
+    assert results["success_rate"] == 0.0
+    assert "0% [0, 79]" in table(results)
+
+
+def test_paper_figures() -> None:
+    figure = paper_figure("rule_based", "test", 3)
+    assert figure is not None
+    assert (figure.table, figure.success_rate) == ("table II", 0.69)
+    assert (figure.steps, figure.error_mm) == (59.1, 28.8)
+    seen = paper_figure("rule_based", "train", 3)
+    assert seen is not None
+    assert (seen.table, seen.success_rate, seen.steps) == ("table I", 0.68, 57.7)
+    assert paper_figure("rule_based", "train", 4) is None
+    assert paper_figure("rule_based", "test", 7) is None
+    assert paper_figure("another", "test", 3) is None
+
+
+def test_table_stands_beside_the_paper() -> None:
+    results = summarise(real_config(), [episode(0), episode(1, error_mm=30.0)], wall_s=1.0)
+    title, head, ours, paper, _ = table(results).splitlines()
+    assert "3 scanned objects (test)" in title
+    assert head.index("success rate") == ours.index("100% [34, 100]") == paper.index("69%")
+    assert head.index("error (mm)") == ours.index("25.0 [") == paper.index("28.8")
+    assert "paper" not in table(results | {"scenario": "swap"})
+
+
+# ------------------------------------------------------------------ provenance
+
+
+def test_git_state(tmp_path: Path) -> None:
+    assert git_state(tmp_path) is None
+    run = ["git", "-C", str(tmp_path), "-c", "user.name=a", "-c", "user.email=a@b"]
+    (tmp_path / "file").write_text("one")
+    for arguments in (["init"], ["add", "."], ["commit", "-m", "first"]):
+        subprocess.run([*run, *arguments], check=True, capture_output=True)
+    clean = git_state(tmp_path)
+    assert clean is not None
+    assert len(clean["commit"]) == 40
+    assert not clean["dirty"]
+    (tmp_path / "file").write_text("two")
+    assert git_state(tmp_path) == clean | {"dirty": True}
+    (tmp_path / "inner").mkdir()
+    assert git_state(tmp_path / "inner") is None  # as a package installed inside a checkout
+
+
+def test_json_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    write_json(tmp_path / "a.json", {"a": 1})
+    with pytest.raises(ValueError, match="JSON"):
+        write_json(tmp_path / "a.json", {"a": float("nan")})
+    assert json.loads((tmp_path / "a.json").read_text()) == {"a": 1}
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+# ------------------------------------------------------------------ episodes.csv
+
+
+def test_table_of_episodes_reads_back(tmp_path: Path) -> None:
+    kept = EpisodeTable(tmp_path / "episodes.csv")
+    assert kept.read() == []
+    rows = [episode(2, success=False, error_mm=123.456), episode(0), episode(1)]
+    for row in rows:
+        kept.append(row)
+    assert kept.read() == [rows[1], rows[2], rows[0]]
+    head = (tmp_path / "episodes.csv").read_text().splitlines()[0]
+    assert head == (
+        "episode,seed,n_objects,objects,success,pushes,error_mm,out_of_range,truncated,return,wall_s"
+    )
+    assert head == ",".join(COLUMNS)
+
+
+def test_half_a_line_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / "episodes.csv"
+    kept = EpisodeTable(path)
+    kept.append(episode(0))
+    kept.append(episode(1))
+    path.write_text(path.read_text()[:-3])
+    assert kept.read() == [episode(0)]
+
+
+def test_a_foreign_table_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "episodes.csv"
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(SdfgcnError, match="not a table of episodes"):
+        EpisodeTable(path).read()
+
+
+# ------------------------------------------------------------------ the run folder
+
+
+def status(path: Path) -> dict:
+    return json.loads((path / "status.json").read_text())
+
+
+def begin(path: Path, *episodes: Episode, overrides: tuple[str, ...] = ()) -> list[Episode]:
+    with RunFolder(path, compose_config(*overrides), overrides) as folder:
+        return folder.keep(episodes)
+
+
+def test_states_of_a_run(tmp_path: Path) -> None:
+    path = tmp_path / "run"
+    with RunFolder(path, compose_config("seed=3"), ["seed=3"]) as folder:
+        running = status(path)
+        assert (running["state"], running["ended"]) == ("running", None)
+        assert running["pid"] > 0
+        assert running["overrides"] == ["seed=3"]
+        assert OmegaConf.load(path / "config.yaml").env.n_objects == 3
+        folder.keep([episode(1), episode(0)])
+        assert status(path)["episodes"] == 2
+    assert (status(path)["state"], status(path)["error"]) == ("done", None)
+    assert EpisodeTable(path / "episodes.csv").read() == [episode(0), episode(1)]
+    lines = (path / "episodes.csv").read_text().splitlines()
+    assert [line[0] for line in lines[1:]] == ["0", "1"]  # sorted in the file too
+
+
+@pytest.mark.parametrize("error", [SdfgcnError("No room."), KeyError("x"), KeyboardInterrupt()])
+def test_a_run_that_fails(tmp_path: Path, error: BaseException) -> None:
+    with pytest.raises(type(error)), RunFolder(tmp_path, compose_config()) as folder:
+        folder.keep([episode(0)])
+        raise error
+    failed = status(tmp_path)
+    assert (failed["state"], failed["episodes"]) == ("failed", 1)
+    assert type(error).__name__ in failed["traceback"]
+    assert failed["error"]
+    assert "\n" not in failed["error"]
+    assert not (tmp_path / "results.json").exists()
+
+
+def test_goes_on_with_what_the_folder_holds(tmp_path: Path) -> None:
+    begin(tmp_path, episode(0), episode(1))
+    first = status(tmp_path)["wall_s"]
+    with (tmp_path / "episodes.csv").open("a") as file:
+        file.write("2,17")  # the process was killed here
+    (tmp_path / "results.json").touch()
+    free = ("eval.episodes=40", "runtime.workers=7", "viz=none", "logger=none")
+    with RunFolder(tmp_path, compose_config(*free)) as folder:
+        assert folder.finished == [episode(0), episode(1)]
+        assert not (tmp_path / "results.json").exists()
+        assert folder.wall_s >= first
+        assert folder.keep([episode(2)]) == [episode(0), episode(1), episode(2)]
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("seed=1", r"seed \(0 there, 1 now\)"),
+        ("env.success_threshold=0.1", r"env\.success_threshold \(0\.05 there, 0\.1 now\)"),
+        ("robot=gripper", r"env\.robot"),
+        ("eval.episodes=1", r"holds 2 episodes already, more than eval\.episodes=1"),
+    ],
+)
+def test_refuses_another_experiment(tmp_path: Path, override: str, told: str) -> None:
+    begin(tmp_path, episode(0), episode(1))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(SdfgcnError, match=told):
+        begin(tmp_path, overrides=(override,))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_run_without_episodes_binds_nothing(tmp_path: Path) -> None:
+    begin(tmp_path)
+    assert begin(tmp_path, episode(0), overrides=("seed=1",)) == [episode(0)]
+
+
+def test_refuses_a_folder_in_use(tmp_path: Path) -> None:
+    with (
+        RunFolder(tmp_path, compose_config()),
+        pytest.raises(SdfgcnError, match="Another process is running"),
+        RunFolder(tmp_path, compose_config()),
+    ):
+        pass
+    assert status(tmp_path)["state"] == "done"
