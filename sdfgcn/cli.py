@@ -117,10 +117,12 @@ def _tell_missing_option(error: MissingConfigException) -> str:
 
 def _tell_config_error(error: BaseException) -> str:
     """Hydra names the override, and OmegaConf, mostly as its cause, the key and what is wrong."""
+    override = re.search(r"Could not override '([^']+)'", str(error))
     for link in _causes(error):
         key = re.search(r"full_key: (\S+)", str(link))
         if key and isinstance(link, ConfigKeyError | ConfigAttributeError):
-            return f"There is no key '{key[1]}'; {_hint(key[1])}"
+            asked = (override or key)[1]
+            return f"There is no key '{asked}'; {_hint(asked)}"
         if key:
             return _as_sentence(f"{key[1]}: {_gist(link)}")
     if isinstance(error, OverrideParseException):
@@ -130,13 +132,20 @@ def _tell_config_error(error: BaseException) -> str:
     return _as_sentence(_gist(error))
 
 
-def _hint(key: str) -> str:
-    """Name the key or group that was probably meant."""
-    keys = sorted(_keys(OmegaConf.structured(Config)), key=lambda dotted: -dotted.count("."))
-    names = {dotted.rpartition(".")[2]: dotted for dotted in keys}  # the shallowest one stays
-    names |= {group.name: group.name for group in _CONF.glob("*/")}
-    close = difflib.get_close_matches(key.rpartition(".")[2], names, n=1, cutoff=0.8)
-    return f"did you mean {names[close[0]]}?" if close else "`run.py --cfg job` prints all keys."
+def _hint(asked: str) -> str:
+    """Name the keys or the group that was probably meant."""
+    meant: dict[str, list[str]] = {}
+    for key in _keys(OmegaConf.structured(Config)):
+        parts = key.split(".")
+        for start in range(len(parts)):
+            meant.setdefault(".".join(parts[start:]), []).append(key)
+    meant |= {group.name: [group.name] for group in _CONF.glob("*/")}
+    close = difflib.get_close_matches(asked, meant, n=1, cutoff=0.8)
+    if not close:
+        return "`run.py --cfg job` prints all keys."
+    depth = min(key.count(".") for key in meant[close[0]])
+    nearest = [key for key in meant[close[0]] if key.count(".") == depth]
+    return f"did you mean {' or '.join(nearest)}?"
 
 
 def _keys(cfg: DictConfig, prefix: str = "") -> Iterator[str]:

@@ -99,16 +99,6 @@ def test_finished_episodes_are_left_out(tmp_path: Path) -> None:
     assert not list(evaluate(point_world(tmp_path, "runtime.workers=2"), finished=range(4)))
 
 
-def test_results_do_not_depend_on_workers(tmp_path: Path) -> None:
-    overrides = ("viz.episodes=1", "eval.episodes=6")
-    alone = list(evaluate(point_world(tmp_path / "0", *overrides)))
-    shared = list(evaluate(point_world(tmp_path / "2", *overrides, "runtime.workers=2")))
-    assert without_time(shared) == without_time(alone)
-    notes = [(tmp_path / n / "recordings/episode_000.rrd").read_text() for n in ("0", "2")]
-    assert notes[0] == notes[1]
-    assert len({episode.seed for episode in alone}) == 6
-
-
 def test_a_worker_that_breaks_stops_the_others(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

