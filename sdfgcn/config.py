@@ -102,7 +102,6 @@ class PhysicsConfig:
     solref: list[float] = MISSING
     sleep_tolerance: float = MISSING
     settle_seconds: float = MISSING
-    settle_speed: float = MISSING
 
 
 @dataclass

@@ -261,6 +261,9 @@ def _in_this_process(evaluation: Evaluation, episodes: Sequence[int]) -> Iterato
 
 
 def _in_workers(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[Episode]:
+    if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
+        # A process of joblib's launcher: its own start method is unknown to processes spawned here.
+        multiprocessing.set_start_method("spawn", force=True)
     context = multiprocessing.get_context("spawn")  # a forked OpenGL context does not work
     stop = context.Event()
     workers = min(evaluation.config.runtime.workers, len(episodes))

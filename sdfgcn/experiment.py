@@ -7,7 +7,6 @@ from typing import Any
 from sdfgcn.config import Config, lookup
 from sdfgcn.evaluate import Evaluation, evaluate, watch
 from sdfgcn.loggers import LOGGERS
-from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.opengl import check_opengl
 from sdfgcn.results import summarise
 from sdfgcn.runs import RunFolder
@@ -28,6 +27,8 @@ def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
         SdfgcnError: What it needs is not there: OpenGL, the objects, room for a layout.
     """
     check_opengl()
+    from sdfgcn.objects.catalogue import load_catalogue  # loads MuJoCo: it fails without OpenGL
+
     load_catalogue(config.env.objects, config.env.split)  # once, before workers would each do it
     evaluation = Evaluation(
         config,

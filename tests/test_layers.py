@@ -42,8 +42,8 @@ RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 # Each only in the folder that needs it.
 OPTIONAL = {"rerun": "viz", "trimesh": "objects", "coacd": "objects"}
 
-# Loaded only by what needs them; torch and dm_control take seconds.
-LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "dm_control", "statsmodels")
+# Loaded only by what needs them; torch takes seconds, and MuJoCo fails to load without OpenGL.
+LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "mujoco", "dm_control", "statsmodels")
 
 REGISTRIES = {
     "logger": LOGGERS,

@@ -72,9 +72,9 @@ def test_names_are_unique_and_categories_disjoint(models):
 def test_sizes_and_masses_are_within_the_limits(cfg, models):
     for model in every(models):
         assert cfg.mass_min <= model.mass <= cfg.mass_max, model.name
-        for index, (rotation, _, _) in enumerate(poses(model)):
+        for index, (rotation, height, _) in enumerate(poses(model)):
             turned = rotation.apply(everything(model))
-            across, up = footprint(turned), np.ptp(turned[:, 2])
+            across, up = footprint(turned), turned[:, 2].max() + height
             assert across <= cfg.footprint_max + EPS, model.name
             assert cfg.thickness_min - EPS <= up <= cfg.height_max + EPS, model.name
             if index == 0:
@@ -99,14 +99,14 @@ def test_rests_match_the_vertices(models):
 def test_meshes_are_sound(cfg, models):
     for model in every(models):
         assert len(model.faces) <= cfg.max_faces, model.name
-        assert 0 <= model.faces.min() and model.faces.max() < len(model.vertices), model.name
+        assert model.faces.min() >= 0 and model.faces.max() < len(model.vertices), model.name
         a, b, c = (model.vertices[model.faces[:, k]].astype(float) for k in range(3))
         assert np.einsum("ij,ij->i", a, np.cross(b, c)).sum() > 0, f"{model.name} is inside out"
         assert (model.uv is None) == (model.texture is None)
         if model.texture is not None:
             assert model.texture.shape == (cfg.texture_size, cfg.texture_size, 3)
             assert model.uv.shape == (len(model.vertices), 2)
-            assert -0.01 <= model.uv.min() and model.uv.max() <= 1.01
+            assert model.uv.min() >= -0.01 and model.uv.max() <= 1.01
 
 
 def test_pieces_are_convex_and_follow_the_mesh(cfg, models):

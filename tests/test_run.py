@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +16,10 @@ from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from sdfgcn.cli import to_sentence
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.experiment import run_experiment
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
+from sdfgcn.runs import RunFolder
 
 ROOT = Path(__file__).parents[1]
 SMALL = ("objects=household", "robot=gripper", "n_objects=2", "env.pushes_per_object=2")
@@ -64,42 +68,47 @@ def rows(folder: Path) -> list[dict]:
 # ------------------------------------------------------------------ what works
 
 
-def test_a_run_and_going_on_with_it(tmp_path: Path) -> None:
-    begun = (*SMALL, "runtime.workers=0", f"hydra.run.dir={tmp_path}")
-    first = run(*begun, "eval.episodes=2", "viz.episodes=1")
-    assert first.returncode == 0, first.stderr
-    assert first.stderr == ""
-    assert "rule_based (paper, table II)  -         78%" in first.stdout
-    assert f"Run folder: {tmp_path}" in first.stdout
-    assert status(tmp_path)["state"] == "done"
-    assert [path.name for path in (tmp_path / "recordings").iterdir()] == ["episode_000.rrd"]
-    assert OmegaConf.load(tmp_path / "config.yaml").env.objects.name == "household"
-    kept = rows(tmp_path)
-    again = run(*begun, "eval.episodes=3", "viz=none")
-    assert again.returncode == 0, again.stderr
-    assert len(rows(tmp_path)) == 3
-    assert rows(tmp_path)[:2] == kept
-    results = json.loads((tmp_path / "results.json").read_text())
-    assert results["episodes"] == 3
-    assert results["success_rate"] == sum(row["success"] == "True" for row in rows(tmp_path)) / 3
-    assert results["wall_s"] > sum(row_s for row_s in [0.0])
-    assert "differs in seed (0 there, 1 now)" in refusal(*begun, "seed=1")
-    assert status(tmp_path)["state"] == "done"
-
-
-def test_joblib_sweep_gives_the_same_for_any_number_of_workers(tmp_path: Path) -> None:
+@pytest.fixture(scope="module")
+def sweep(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Two jobs at once, one of them with workers of its own; its folder and stdout."""
+    folder = tmp_path_factory.mktemp("sweep")
     done = run(
-        *("-m", *SMALL, "eval.episodes=4", "viz=none", "runtime.workers=0,2"),
-        *("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", f"hydra.sweep.dir={tmp_path}"),
+        *("-m", *SMALL, "eval.episodes=3", "viz.episodes=1", "runtime.workers=0,2"),
+        *("hydra/launcher=joblib", "hydra.launcher.n_jobs=2", f"hydra.sweep.dir={folder}"),
     )
     assert done.returncode == 0, done.stderr
-    alone, shared = rows(tmp_path / "0"), rows(tmp_path / "1")
+    return folder, done.stdout
+
+
+@pytest.mark.parametrize("job", ["0", "1"])
+def test_a_run_leaves_its_results(sweep: tuple[Path, str], job: str) -> None:
+    folder, out = sweep[0] / job, sweep[1]
+    assert f"Run folder: {folder}" in out
+    assert "rule_based (paper, table II)  -         78%" in out
+    assert status(folder)["state"] == "done"
+    assert OmegaConf.load(folder / "config.yaml").env.objects.name == "household"
+    assert [path.name for path in (folder / "recordings").iterdir()] == ["episode_000.rrd"]
+    results = json.loads((folder / "results.json").read_text())
+    assert (results["episodes"], results["objects"], results["n_objects"]) == (3, "household", 2)
+    assert results["success_rate"] == sum(row["success"] == "True" for row in rows(folder)) / 3
+
+
+def test_results_do_not_depend_on_workers(sweep: tuple[Path, str]) -> None:
+    alone, shared = rows(sweep[0] / "0"), rows(sweep[0] / "1")
     assert alone == shared
-    assert [row["episode"] for row in alone] == ["0", "1", "2", "3"]
-    assert len({row["seed"] for row in alone}) == 4
-    for job in ("0", "1"):
-        assert status(tmp_path / job)["state"] == "done"
-        assert (tmp_path / job / "results.json").exists()
+    assert [row["episode"] for row in alone] == ["0", "1", "2"]
+    assert len({row["seed"] for row in alone}) == 3
+
+
+def test_goes_on_with_more_episodes(sweep: tuple[Path, str], tmp_path: Path) -> None:
+    folder = shutil.copytree(sweep[0] / "0", tmp_path / "run")
+    kept = rows(folder)
+    more = (*SMALL, "eval.episodes=4", "runtime.workers=0", "viz=none", "logger=none")
+    with RunFolder(folder, compose_config(*more)) as held:
+        results = run_experiment(real_config(*more), held)
+    assert results["episodes"] == len(rows(folder)) == 4
+    assert rows(folder)[:3] == kept
+    assert status(folder)["state"] == "done"
 
 
 def test_ctrl_c_keeps_what_is_done(tmp_path: Path) -> None:
@@ -219,9 +228,12 @@ def test_a_truncated_cache(tmp_path: Path) -> None:
 
 
 def test_a_layout_that_cannot_be_placed(tmp_path: Path) -> None:
-    impossible = ("env.scenario.spacing=2", "env.scenario.max_tries=1", "eval.episodes=1")
-    told = refusal(*SMALL, *impossible, "runtime.workers=1", f"hydra.run.dir={tmp_path}")
-    assert "scenario.spacing" in told
+    impossible = (*SMALL, "runtime.workers=0", "env.scenario.spacing=2", "env.scenario.max_tries=1")
+    with (
+        pytest.raises(SdfgcnError, match=r"scenario\.spacing"),
+        RunFolder(tmp_path, compose_config(*impossible)) as folder,
+    ):
+        run_experiment(real_config(*impossible), folder)
     assert status(tmp_path)["state"] == "failed"
     assert not (tmp_path / "results.json").exists()
     assert not list(tmp_path.glob("recordings/*.rrd"))

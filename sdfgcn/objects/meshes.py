@@ -49,7 +49,7 @@ def decimate(
         else:
             high = cells
     places, corners, reduced = best
-    placed = _best_points(vertices, quadrics, places, size / low)
+    placed = _best_points(vertices, quadrics, places)
     used, reduced = np.unique(reduced, return_inverse=True)
     first = np.unique(corners, return_index=True)[1]  # some old vertex of each new one
     new_uv = None if uv is None else _means(uv, corners)[used]
@@ -74,7 +74,7 @@ def _cluster(
     return places, corners, corners[kept[first]]
 
 
-def _best_points(vertices: NDArray, quadrics: NDArray, places: NDArray, cell: float) -> NDArray:
+def _best_points(vertices: NDArray, quadrics: NDArray, places: NDArray) -> NDArray:
     """The point of each cluster that lies nearest to all planes of its faces, [K, 3]."""
     means = _means(vertices, places)
     total = np.zeros((len(means), 3, 4))
@@ -82,9 +82,11 @@ def _best_points(vertices: NDArray, quadrics: NDArray, places: NDArray, cell: fl
     matrix, vector = total[:, :, :3], total[:, :, 3]
     residual = vector - np.einsum("kij,kj->ki", matrix, means)
     step = np.einsum("kij,kj->ki", np.linalg.pinv(matrix, rcond=0.02, hermitian=True), residual)
-    # A nearly flat cluster may put the point far away: never leave the neighbourhood.
-    length = np.linalg.norm(step, axis=1, keepdims=True)
-    return means + step * np.minimum(1.0, cell / np.maximum(length, 1e-12))
+    # Where the planes all but agree the point may lie far away: keep it among its vertices.
+    low, high = np.full_like(means, np.inf), np.full_like(means, -np.inf)
+    np.minimum.at(low, places, vertices)
+    np.maximum.at(high, places, vertices)
+    return np.clip(means + step, low, high)
 
 
 def _quadrics(vertices: NDArray, faces: NDArray) -> tuple[NDArray, NDArray]:

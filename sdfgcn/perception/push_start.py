@@ -84,7 +84,7 @@ def plan_pushes(
         [line, np.full((*line.shape[:-1], 1), config.plane_height)], axis=-1
     )
     pixels = camera.project(points)
-    scale = camera.focal / (camera.position - points) @ camera.rotation[:, 2]
+    scale = camera.focal / ((camera.position - points) @ camera.rotation[:, 2])  # pixels a metre
 
     union = _sample(sdfs.min(axis=0), pixels)
     own = np.stack([_sample(sdf, uv) for sdf, uv in zip(sdfs, pixels, strict=True)])

@@ -31,7 +31,6 @@ class Prop(composer.Entity):
 
     def _build(self, model: ObjectModel, physics: PhysicsConfig) -> None:
         self.model = model
-        self.radius = float(np.linalg.norm(model.vertices, axis=1).max())
         self._root = mjcf.RootElement(model=model.name)
         material = _add_visual_assets(self._root, model)
         body = self._root.worldbody

@@ -114,7 +114,6 @@ class RearrangementTask(composer.Task):
         )
         self.slot_of_geom[:] = -1
         self.slot_of_geom[self._visuals[chosen]] = np.arange(len(chosen))
-        self._radii = np.array([self._props[i].radius for i in chosen])
 
     def action_spec(self, physics: mjcf.Physics) -> specs.BoundedArray:
         """[4]: start x, start y (metres), direction (0..7), free distance (metres)."""
@@ -205,16 +204,11 @@ class RearrangementTask(composer.Task):
         self._previous = self._distances = self.distances(physics)
 
     def _settle(self, physics: mjcf.Physics) -> None:
-        """Step until every point of the props is slower than `settle_speed`.
-
-        Gives up waiting after `settle_seconds`.
-        """
+        """Step until every prop sleeps, which is to say lies still; at most `settle_seconds`."""
         config = self._config.physics
         model, data = physics.model.ptr, physics.data.ptr
-        velocities = self._qvel[self.episode.objects]
+        trees = model.body_treeid[self._bodies[self.episode.objects]]
         for _ in range(round(config.settle_seconds / (SETTLE_STEPS * config.timestep))):
             mujoco.mj_step(model, data, SETTLE_STEPS)
-            linear, angular = np.split(data.qvel[velocities], 2, axis=1)
-            speeds = np.linalg.norm(linear, axis=1) + self._radii * np.linalg.norm(angular, axis=1)
-            if speeds.max() < config.settle_speed:
+            if (data.tree_asleep[trees] >= 0).all():
                 return
