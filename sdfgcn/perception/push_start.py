@@ -86,8 +86,9 @@ def plan_pushes(
     pixels = camera.project(points)
     scale = camera.focal / ((camera.position - points) @ camera.rotation[:, 2])  # pixels a metre
 
-    union = _sample(sdfs.min(axis=0), pixels)
-    own = np.stack([_sample(sdf, uv) for sdf, uv in zip(sdfs, pixels, strict=True)])
+    # Outside the picture nothing is known to be free, and no object is known to reach there.
+    union = _sample(sdfs.min(axis=0), pixels, outside=-1.0)
+    own = np.stack([_sample(sdf, uv, outside=1.0) for sdf, uv in zip(sdfs, pixels, strict=True)])
     step = np.arange(len(back))
     # Behind the object's rearmost part on the line: the centre of a ring is free, but not behind.
     behind = step > np.max(np.where(own <= 0.0, step, 0), axis=-1, keepdims=True)
@@ -107,13 +108,10 @@ def plan_pushes(
     return PushPlan(start=start, free=free, legal=legal)
 
 
-def _sample(field: NDArray, pixels: NDArray) -> NDArray[np.float64]:
-    """Bilinear samples of an [H, W] field at [..., 2] pixel coordinates (u, v).
-
-    Outside the picture nothing is known to be free: samples there are negative.
-    """
+def _sample(field: NDArray, pixels: NDArray, outside: float) -> NDArray[np.float64]:
+    """Bilinear samples of an [H, W] field at [..., 2] pixel coordinates (u, v)."""
     rows, columns = pixels[..., 1] - 0.5, pixels[..., 0] - 0.5
     values = map_coordinates(field, [rows.ravel(), columns.ravel()], order=1, mode="nearest")
     height, width = field.shape
     inside = (rows > -0.5) & (rows < height - 0.5) & (columns > -0.5) & (columns < width - 0.5)
-    return np.where(inside, values.reshape(rows.shape), -1.0)
+    return np.where(inside, values.reshape(rows.shape), outside)
