@@ -68,6 +68,7 @@ class ScenarioConfig:
 
     name: str = MISSING
     spacing: float = MISSING
+    gap: float = MISSING
     max_tries: int = MISSING
 
 
@@ -109,6 +110,7 @@ class PushConfig:
     """The push primitive (`conf/env/`)."""
 
     length: float = MISSING
+    touch: bool = MISSING
     clearance: float = MISSING
     walk: float = MISSING
     height: float = MISSING

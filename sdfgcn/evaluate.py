@@ -6,6 +6,7 @@ generator for the agent. So its result does not depend on which process plays it
 
 from __future__ import annotations
 
+import atexit
 import multiprocessing
 import os
 import signal
@@ -267,13 +268,12 @@ def _in_workers(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[Epi
     context = multiprocessing.get_context("spawn")  # a forked OpenGL context does not work
     stop = context.Event()
     workers = min(evaluation.config.runtime.workers, len(episodes))
-    with ProcessPoolExecutor(workers, context, _start_worker, (evaluation, stop)) as pool:
-        futures = [pool.submit(_play_in_worker, episode) for episode in episodes]
-        try:
-            yield from _as_they_end(futures)
-        finally:
-            stop.set()
-            pool.shutdown(wait=False, cancel_futures=True)
+    pool = ProcessPoolExecutor(workers, context, _start_worker, (evaluation, stop))
+    try:
+        yield from _as_they_end([pool.submit(_play_in_worker, episode) for episode in episodes])
+    finally:
+        stop.set()
+        pool.shutdown(cancel_futures=True)
 
 
 def _as_they_end(futures: Sequence[Future[Episode]]) -> Iterator[Episode]:
@@ -294,6 +294,7 @@ def _start_worker(evaluation: Evaluation, stop: Event) -> None:
     global _player
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process hears Ctrl-C and sets `stop`
     threading.Thread(target=_end_with_parent, daemon=True).start()
+    atexit.register(os._exit, 0)  # freeing torch and OpenGL at the end can take many seconds
     _player = _Player(evaluation, stopped=stop.is_set)
 
 

@@ -15,14 +15,19 @@ from sdfgcn.objects.contact_sheet import main, read_config
 from sdfgcn.objects.storage import MANIFEST, new_folder
 
 
+@pytest.fixture(scope="module")
+def base():
+    return read_config(["objects=household"])
+
+
 @pytest.fixture
-def cfg(tmp_path, monkeypatch):
+def cfg(base, tmp_path, monkeypatch):
     """Three household objects and few drops, in a cache of their own."""
     monkeypatch.setenv("SDFGCN_CACHE", str(tmp_path / "cache"))
     few = ("book_1", "ring_1", "car_1")
     source = Source(lambda cfg: [r for r in household.recipes(cfg) if r.name in few])
     monkeypatch.setitem(catalogue.SOURCES, "household", source)
-    return dataclasses.replace(read_config(["objects=household"]), settle_drops=6)
+    return dataclasses.replace(base, settle_drops=6)
 
 
 def equal(one, other) -> bool:

@@ -13,12 +13,16 @@ from sdfgcn.objects.contact_sheet import read_config
 from sdfgcn.objects.shapenet import divided, find_meshes
 
 
+@pytest.fixture(scope="module")
+def base():
+    return read_config(["objects=shapenet"])
+
+
 @pytest.fixture
-def cfg(tmp_path, monkeypatch):
+def cfg(base, tmp_path, monkeypatch):
     monkeypatch.setenv("SDFGCN_CACHE", str(tmp_path / "cache"))
     (tmp_path / "meshes").mkdir()
-    base = read_config(["objects=shapenet", f"env.objects.root={tmp_path / 'meshes'}"])
-    return dataclasses.replace(base, settle_drops=8)
+    return dataclasses.replace(base, root=str(tmp_path / "meshes"), settle_drops=8)
 
 
 @pytest.fixture

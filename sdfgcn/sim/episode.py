@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from sdfgcn.config import EnvConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.model import ObjectModel, Rest
-from sdfgcn.sim.placement import NoRoom
+from sdfgcn.sim.placement import NoRoom, footprint
 from sdfgcn.sim.scenarios import SCENARIOS, Scenario, Situation
 
 MAX_DRAWS = 200  # sets of objects and layouts tried before an episode is called impossible
@@ -64,25 +64,30 @@ def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig)
     for _ in range(MAX_DRAWS):
         chosen = _choose(rng, catalogue, n, scenario)
         rests = [_choose_rest(rng, catalogue[i]) for i in chosen]
+        start = _turned(rng, rests)
+        goal = start if scenario.same_yaw else _turned(rng, rests)
+        models = [catalogue[i] for i in chosen]
         situation = Situation(
-            radii=np.array([rest.radius for rest in rests]),
-            categories=tuple(catalogue[i].category for i in chosen),
+            start=tuple(map(footprint, [m.vertices for m in models], start)),
+            goal=tuple(map(footprint, [m.vertices for m in models], goal)),
+            categories=tuple(m.category for m in models),
         )
         try:
             layout = scenario.draw(rng, situation)
         except NoRoom:
             continue
+        heights = [[rest.height] for rest in rests]
         return Episode(
             seed=seed,
             objects=chosen,
-            start=_poses(rng, rests, layout.start),
-            goal=_poses(rng, rests, layout.goal),
+            start=np.hstack([layout.start, heights, start]),
+            goal=np.hstack([layout.goal, heights, goal]),
             colors=_colors(rng, config.objects.palette, n),
         )
     raise SdfgcnError(
         f"No {config.scenario.name} layout of {n} objects was found in {MAX_DRAWS} draws; "
-        f"use fewer objects, a smaller scenario.spacing (now {config.scenario.spacing} m) or a "
-        f"larger spawn region (env.arena.spawn_x, env.arena.spawn_y)."
+        f"use fewer objects, a smaller env.scenario.spacing (now {config.scenario.spacing} m) or "
+        f"a larger spawn region (env.arena.spawn_x, env.arena.spawn_y)."
     )
 
 
@@ -112,12 +117,11 @@ def _choose_rest(rng: np.random.Generator, model: ObjectModel) -> Rest:
     return model.rests[rng.choice(len(model.rests), p=share / share.sum())]
 
 
-def _poses(rng: np.random.Generator, rests: Sequence[Rest], places: NDArray) -> NDArray:
-    """[n, 7] resting poses at [n, 2] places, each turned by a random yaw."""
+def _turned(rng: np.random.Generator, rests: Sequence[Rest]) -> NDArray:
+    """[n, 4] the rests' orientations (w, x, y, z), each turned by a random yaw."""
     turns = Rotation.from_euler("z", rng.uniform(0.0, 2.0 * np.pi, size=(len(rests), 1)))
     tilts = Rotation.from_quat([rest.quat for rest in rests], scalar_first=True)
-    heights = [[rest.height] for rest in rests]
-    return np.hstack([places, heights, (turns * tilts).as_quat(scalar_first=True)])
+    return (turns * tilts).as_quat(scalar_first=True)
 
 
 def _colors(rng: np.random.Generator, palette: Sequence[Sequence[float]], n: int) -> NDArray:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from shapely import MultiPoint, Polygon
+from shapely.affinity import translate
 
 from sdfgcn.config import ArenaConfig
 
@@ -25,6 +29,19 @@ class Layout:
 
     start: NDArray[np.float64]
     goal: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Spacing:
+    """How far apart objects of one layout are.
+
+    Attributes:
+        centers: Least distance of two centres, metres (the authors' rule).
+        gap: Least distance of two footprints, metres: no collision.
+    """
+
+    centers: float
+    gap: float
 
 
 @dataclass(frozen=True)
@@ -56,56 +73,64 @@ class Region:
         return ((points >= self.low) & (points <= self.high)).all(axis=-1)
 
 
-def clearances(radii: NDArray, spacing: float) -> NDArray[np.float64]:
-    """[n, n] smallest distance of each pair of centres, metres.
+def footprint(vertices: NDArray, quat: NDArray) -> Polygon:
+    """What an object covers of the table, seen from above, with its origin at (0, 0).
 
-    At least `spacing` (the authors' rule), and never closer than the props' bounding circles.
+    Args:
+        vertices: [V, 3] in the object's frame, metres.
+        quat: [4] its orientation (w, x, y, z).
+
+    Returns:
+        The convex hull of its outline.
     """
-    return np.maximum(spacing, radii[:, None] + radii[None, :])
+    turned = Rotation.from_quat(quat, scalar_first=True).apply(vertices)
+    return MultiPoint(turned[:, :2]).convex_hull
 
 
-def is_free(points: NDArray, least: NDArray) -> bool:
-    """Whether every pair of the [n, 2] points is at least `least` [n, n] metres apart."""
-    gaps = np.linalg.norm(points[:, None] - points[None, :], axis=-1)
-    np.fill_diagonal(gaps, np.inf)
-    return bool((gaps >= least).all())
+def is_free(points: NDArray, shapes: Sequence[Polygon], rule: Spacing) -> bool:
+    """Whether footprints at the [n, 2] points keep the rule with each other."""
+    placed = [translate(shape, *point) for shape, point in zip(shapes, points, strict=True)]
+    return all(
+        np.linalg.norm(points[i] - points[j]) >= rule.centers - 1e-9
+        and placed[i].distance(placed[j]) >= rule.gap - 1e-9
+        for i in range(len(points))
+        for j in range(i)
+    )
 
 
 def sample_positions(
     rng: np.random.Generator,
-    radii: NDArray,
-    regions: list[Region],
-    spacing: float,
+    shapes: Sequence[Polygon],
+    regions: Sequence[Region],
+    rule: Spacing,
     max_tries: int,
-    taken: NDArray | None = None,
-    taken_radii: NDArray | None = None,
 ) -> NDArray[np.float64]:
-    """Draw positions uniformly, one prop after the other, without collisions.
+    """Draw positions uniformly, one object after the other, without collisions.
 
     Args:
         rng: Source of randomness.
-        radii: [n] bounding circles, metres.
-        regions: n rectangles, where each prop may stand.
-        spacing: Smallest distance between two centres, metres.
-        max_tries: Draws per prop before the layout is given up.
-        taken: [k, 2] centres that are occupied already.
-        taken_radii: [k] their bounding circles.
+        shapes: n footprints, turned as they will lie.
+        regions: n rectangles, where each object's centre may be.
+        rule: The distances to keep.
+        max_tries: Draws per object before the layout is given up.
 
     Returns:
         [n, 2] metres.
 
     Raises:
-        NoRoom: A prop found no free place.
+        NoRoom: An object found no free place.
     """
-    points = np.zeros((0, 2)) if taken is None else np.asarray(taken)
-    circles = np.zeros(0) if taken_radii is None else np.asarray(taken_radii)
-    first = len(points)
-    for radius, region in zip(radii, regions, strict=True):
+    points = np.zeros((0, 2))
+    placed: list[Polygon] = []
+    for shape, region in zip(shapes, regions, strict=True):
         candidates = rng.uniform(region.low, region.high, size=(max_tries, 2))
         gaps = np.linalg.norm(candidates[:, None] - points[None, :], axis=-1)
-        free = (gaps >= np.maximum(spacing, circles + radius)).all(axis=1)
-        if not free.any():
+        for candidate in candidates[(gaps >= rule.centers).all(axis=1)]:
+            there = translate(shape, *candidate)
+            if all(there.distance(other) >= rule.gap for other in placed):
+                points = np.vstack([points, candidate])
+                placed.append(there)
+                break
+        else:
             raise NoRoom
-        points = np.vstack([points, candidates[np.argmax(free)]])
-        circles = np.append(circles, radius)
-    return points[first:]
+    return points

@@ -89,11 +89,11 @@ class PushPrimitive:
         return ("done" if touched else "no_contact"), start, position
 
     def _push(self, physics: mjcf.Physics, path: _Path, expected: float) -> tuple[float, bool]:
-        """Push `length` past the first touch; `expected` metres if nothing is touched."""
+        """Push `length` past the first touch, or `expected` metres. Returns (reached, touched)."""
         config = self._config
         reached, touched = self._follow(physics, path, config.speed, until=expected, stop_at=0.0)
         if touched:
-            stop = reached + config.length
+            stop = reached + config.length if config.touch else expected
             reached, _ = self._follow(physics, path, config.speed, origin=reached, until=stop)
         return reached, touched
 

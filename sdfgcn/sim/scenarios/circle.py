@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sdfgcn.sim.placement import Layout, NoRoom, Region, clearances, is_free
+from sdfgcn.sim.placement import Layout, NoRoom, Region, is_free
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 
@@ -13,14 +13,14 @@ class Circle(Scenario):
 
     def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
         """A uniform start; the goal circle lies at a random place with a random phase."""
-        start = self.random_start(rng, situation)
+        start = self.anywhere(rng, situation.start)
         n = situation.n
-        least = clearances(situation.radii, self.config.spacing)
         order = rng.permutation(n)
         radius = 0.0
         if n > 1:
-            neighbours = least[order, np.roll(order, 1)].max()
-            radius = neighbours / (2.0 * np.sin(np.pi / n))
+            radii = situation.goal_radii[order]
+            neighbours = (radii + np.roll(radii, 1)).max() + self.spacing.gap
+            radius = max(self.spacing.centers, neighbours) / (2.0 * np.sin(np.pi / n))
         angles = rng.uniform(0.0, 2.0 * np.pi) + 2.0 * np.pi * np.arange(n) / n
         ring = radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
         spawn = Region.spawn(self.arena)
@@ -29,7 +29,7 @@ class Circle(Scenario):
             raise NoRoom
         goal = np.empty_like(start)
         goal[order] = ring + rng.uniform(low, high)
-        # Neighbours touch by construction up to rounding; others may still be too large.
-        if not is_free(goal, least - 1e-9):
+        # Neighbours fit by construction; opposite ones may still be too large.
+        if not is_free(goal, situation.goal, self.spacing):
             raise NoRoom
         return Layout(start, goal)

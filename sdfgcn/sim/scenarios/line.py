@@ -13,10 +13,10 @@ class Line(Scenario):
 
     def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
         """A uniform start; neighbours on the goal line stand as close as the rules allow."""
-        start = self.random_start(rng, situation)
+        start = self.anywhere(rng, situation.start)
         order = rng.permutation(situation.n)
-        radii = situation.radii[order]
-        gaps = np.maximum(self.config.spacing, radii[:-1] + radii[1:])
+        radii = situation.goal_radii[order]
+        gaps = np.maximum(self.spacing.centers, radii[:-1] + radii[1:] + self.spacing.gap)
         along = np.concatenate([[0.0], np.cumsum(gaps)])
         spawn = Region.spawn(self.arena)
         for _ in range(self.config.max_tries):

@@ -13,4 +13,4 @@ class Random(Scenario):
 
     def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
         """Start and goal, independent of each other."""
-        return Layout(self.random_start(rng, situation), self.random_start(rng, situation))
+        return Layout(self.anywhere(rng, situation.start), self.anywhere(rng, situation.goal))

@@ -3,31 +3,40 @@
 from __future__ import annotations
 
 import abc
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from shapely import Point, Polygon, hausdorff_distance
 
 from sdfgcn.config import ArenaConfig, ScenarioConfig
-from sdfgcn.sim.placement import Layout, Region, sample_positions
+from sdfgcn.sim.placement import Layout, Region, Spacing, sample_positions
 
 
 @dataclass(frozen=True)
 class Situation:
-    """What a scenario may know of the objects.
+    """What a scenario may know of the n objects.
 
     Attributes:
-        radii: [n] bounding circles in their resting pose, metres.
+        start: n footprints, turned as they will lie at the start.
+        goal: n footprints, turned as they will lie at the goal.
         categories: n category names.
     """
 
-    radii: NDArray[np.float64]
+    start: tuple[Polygon, ...]
+    goal: tuple[Polygon, ...]
     categories: tuple[str, ...]
 
     @property
     def n(self) -> int:
         """Number of objects."""
-        return len(self.radii)
+        return len(self.categories)
+
+    @property
+    def goal_radii(self) -> NDArray[np.float64]:
+        """[n] bounding circles of the goal footprints around their origins, metres."""
+        return np.array([hausdorff_distance(Point(0, 0), shape) for shape in self.goal])
 
 
 class Scenario(abc.ABC):
@@ -35,10 +44,12 @@ class Scenario(abc.ABC):
 
     least_objects = 1
     same_category = False  # whether episodes should hold several objects of one category
+    same_yaw = False  # whether objects lie at the goal as they lie at the start
 
     def __init__(self, config: ScenarioConfig, arena: ArenaConfig):
         self.config = config
         self.arena = arena
+        self.spacing = Spacing(config.spacing, config.gap)
 
     @abc.abstractmethod
     def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
@@ -48,9 +59,7 @@ class Scenario(abc.ABC):
             NoRoom: It did not fit; the caller draws other objects and tries again.
         """
 
-    def random_start(self, rng: np.random.Generator, situation: Situation) -> NDArray[np.float64]:
-        """[n, 2] a uniform start, metres."""
-        regions = [Region.spawn(self.arena)] * situation.n
-        return sample_positions(
-            rng, situation.radii, regions, self.config.spacing, self.config.max_tries
-        )
+    def anywhere(self, rng: np.random.Generator, shapes: Sequence[Polygon]) -> NDArray[np.float64]:
+        """[n, 2] positions drawn uniformly in the spawn region, metres."""
+        regions = [Region.spawn(self.arena)] * len(shapes)
+        return sample_positions(rng, shapes, regions, self.spacing, self.config.max_tries)

@@ -15,7 +15,7 @@ class Sort(Scenario):
 
     def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
         """A uniform start; the goal is uniform within each category's strip."""
-        start = self.random_start(rng, situation)
+        start = self.anywhere(rng, situation.start)
         names = sorted(set(situation.categories))
         order = rng.permutation(len(names))
         # A strip is as wide as its share of the objects.
@@ -32,9 +32,9 @@ class Sort(Scenario):
         }
         goal = sample_positions(
             rng,
-            situation.radii,
+            situation.goal,
             [strips[category] for category in situation.categories],
-            self.config.spacing,
+            self.spacing,
             self.config.max_tries,
         )
         return Layout(start, goal)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sdfgcn.sim.placement import Layout, NoRoom, clearances, is_free
+from sdfgcn.sim.placement import Layout, NoRoom, is_free
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 
@@ -12,14 +12,15 @@ class Swap(Scenario):
     """Two objects exchange places; the others stand in the way and stay where they are."""
 
     least_objects = 2
+    same_yaw = True
 
     def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
         """A uniform start; the goal is the start with two objects exchanged."""
-        start = self.random_start(rng, situation)
+        start = self.anywhere(rng, situation.start)
         first, second = rng.choice(situation.n, size=2, replace=False)
         goal = start.copy()
         goal[[first, second]] = start[[second, first]]
         # A larger object now stands where a smaller one stood.
-        if not is_free(goal, clearances(situation.radii, self.config.spacing)):
+        if not is_free(goal, situation.goal, self.spacing):
             raise NoRoom
         return Layout(start, goal)
