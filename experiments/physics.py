@@ -9,34 +9,23 @@ Writes `results/physics_<objects>_<robot>.json` or `results/physics_compare.json
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from collections import Counter
-from pathlib import Path
 from typing import Any
 
 os.environ.setdefault("MUJOCO_GL", "egl")
 
 import mujoco
 import numpy as np
-from hydra import compose, initialize_config_dir
+from common import load, parse, save
 from tqdm import tqdm
 
-from sdfgcn.config import N_DIRECTIONS, Config, register_schema, typed
+from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
 
-ROOT = Path(__file__).resolve().parent.parent
-RESULTS = ROOT / "experiments" / "results"
 N_OBJECTS = (2, 3, 4, 5, 6)
 PUSHES_PER_EPISODE = 20
-
-
-def load(overrides: list[str]) -> Config:
-    """The experiment's config with overrides as on the command line."""
-    register_schema()
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return typed(compose("config", overrides=overrides))
 
 
 def survey(overrides: list[str], pushes: int) -> dict[str, Any]:
@@ -160,25 +149,14 @@ def compare(overrides: list[str], pushes: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    own = {"pushes": 2000, "compare": 0}
-    overrides = []
-    for argument in sys.argv[1:]:
-        key, _, value = argument.partition("=")
-        if key in own:
-            own[key] = int(value)
-        else:
-            overrides.append(argument)
+    own, overrides = parse(sys.argv[1:], {"pushes": 2000, "compare": 0})
     if own["compare"]:
-        name, result = "physics_compare", compare(overrides, own["compare"])
+        save("physics_compare", compare(overrides, own["compare"]))
     else:
         if not any(override.startswith("robot=") for override in overrides):
             overrides.append("robot=gripper")
         result = survey(overrides, own["pushes"])
-        name = f"physics_{result['objects']}_{result['robot']}"
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    text = json.dumps(result, indent=2)
-    (RESULTS / f"{name}.json").write_text(text + "\n")
-    print(text)
+        save(f"physics_{result['objects']}_{result['robot']}", result)
 
 
 if __name__ == "__main__":

@@ -98,7 +98,6 @@ class PhysicsConfig:
     cone: str = MISSING
     impratio: float = MISSING
     sliding_friction: float = MISSING
-    torsional_friction: float = MISSING
     rolling_friction: float = MISSING
     solref: list[float] = MISSING
     sleep_tolerance: float = MISSING

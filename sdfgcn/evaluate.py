@@ -294,7 +294,7 @@ def _start_worker(evaluation: Evaluation, stop: Event) -> None:
     global _player
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process hears Ctrl-C and sets `stop`
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    atexit.register(os._exit, 0)  # freeing torch and OpenGL at the end can take many seconds
+    atexit.register(os._exit, 0)  # freeing torch and OpenGL at the end takes two seconds
     _player = _Player(evaluation, stopped=stop.is_set)
 
 

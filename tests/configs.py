@@ -11,6 +11,7 @@ from sdfgcn.config import Config, register_schema, typed
 CONF = Path(__file__).parents[1] / "conf"
 
 
+@cache  # nothing mutates a config
 def compose_config(*overrides: str) -> DictConfig:
     """What `run.py` gets from Hydra."""
     register_schema()
@@ -18,7 +19,7 @@ def compose_config(*overrides: str) -> DictConfig:
         return compose("config", list(overrides))
 
 
-@cache  # nothing mutates a config
+@cache
 def real_config(*overrides: str) -> Config:
     """The same as checked dataclasses."""
     return typed(compose_config(*overrides))

@@ -1,5 +1,8 @@
 import csv
 import dataclasses
+import os
+import subprocess
+import sys
 import time
 import traceback
 from pathlib import Path
@@ -7,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from configs import real_config
-from dying_world import dying_world
+from odd_worlds import dying_world
 from point_world import Endless, Notes, PointWorld
 
 from sdfgcn.agents import build_agent
@@ -119,6 +122,21 @@ def test_a_worker_that_dies_is_told(tmp_path: Path) -> None:
     evaluation = Evaluation(config("runtime.workers=1"), tmp_path, RECORDERS["none"], dying_world)
     with pytest.raises(SdfgcnError, match=r"worker process died.*runtime\.workers"):
         list(evaluate(evaluation))
+
+
+def test_workers_end_with_a_main_process_that_is_killed(tmp_path: Path) -> None:
+    script = Path(__file__).with_name("odd_worlds.py")
+    path = os.pathsep.join([str(script.parents[1]), os.environ.get("PYTHONPATH", "")])
+    main = subprocess.Popen(
+        [sys.executable, script, tmp_path],
+        env=os.environ | {"PYTHONPATH": path},
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert main.stdout is not None
+    assert [main.stdout.readline() for _ in range(2)] == ["asleep\n"] * 2
+    main.kill()
+    main.communicate(timeout=30)  # comes back once the workers have closed their end, too
 
 
 @pytest.mark.parametrize("name", sorted(LOGGERS))

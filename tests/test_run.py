@@ -113,7 +113,7 @@ def test_goes_on_with_more_episodes(sweep: tuple[Path, str], tmp_path: Path) -> 
 
 def test_ctrl_c_keeps_what_is_done(tmp_path: Path) -> None:
     process = start(
-        *(*SMALL, "eval.episodes=500", "viz=none", "runtime.workers=1"),
+        *(*SMALL, "eval.episodes=5000", "viz=none", "runtime.workers=1"),
         f"hydra.run.dir={tmp_path}",
     )
     deadline = time.monotonic() + 100
@@ -122,11 +122,12 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path) -> None:
         assert time.monotonic() < deadline
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)
+    _, err = process.communicate(timeout=60)  # too short for the episodes that were left
     assert (process.returncode, err) == (130, "")
-    assert status(tmp_path)["state"] == "failed"
-    assert "Interrupted" in status(tmp_path)["error"]
-    assert 2 <= status(tmp_path)["episodes"] == len(rows(tmp_path)) < 500
+    left = status(tmp_path)
+    assert (left["state"], left["episodes"]) == ("failed", len(rows(tmp_path)))
+    assert "Interrupted" in left["error"]
+    assert 2 <= len(rows(tmp_path)) < 5000
     assert not (tmp_path / "results.json").exists()
 
 

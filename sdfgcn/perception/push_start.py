@@ -18,7 +18,7 @@ from sdfgcn.sim.camera import CameraModel
 from sdfgcn.sim.push import direction_vector
 from sdfgcn.sim.types import PushCommand
 
-MAX_WALK = 0.5  # metres back from the centre; longer than any way out of the reach region
+MAX_WALK = 0.35  # metres back from the centre: past the largest object and one behind it
 
 
 @dataclass(frozen=True)

@@ -49,7 +49,7 @@ class Table(composer.Arena):
             size=[1.5, 1.5, 0.05],
             rgba=arena.table_rgba,
             group=GROUP_SCENE,
-            friction=[physics.sliding_friction, physics.torsional_friction, 0.0001],
+            friction=[physics.sliding_friction, 0.0, 0.0],
             solref=list(physics.solref),
             contype=1,
             conaffinity=1,

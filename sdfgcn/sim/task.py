@@ -62,6 +62,8 @@ class RearrangementTask(composer.Task):
         # A free joint has 7 positions and 6 velocities; the binding lists all of them.
         self._qpos = np.reshape(qpos, (len(joints), -1))[:, :1] + np.arange(7)
         self._qvel = np.reshape(qvel, (len(joints), -1))[:, :1] + np.arange(6)
+        torques = np.array([prop.rolling_torque for prop in self._props])
+        physics.model.dof_frictionloss[self._qvel[:, 3:]] = torques[:, None]
         self._bodies = physics.bind(bodies).element_id
         self._visuals = physics.bind([prop.visual for prop in self._props]).element_id
         self._pieces = physics.bind([g for prop in self._props for g in prop.pieces]).element_id

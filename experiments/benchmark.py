@@ -1,0 +1,139 @@
+"""How fast is a push? Pushes per second and core, and where the time goes.
+
+    python experiments/benchmark.py                       both robots, 3 scanned objects
+    python experiments/benchmark.py pushes=100 objects=household
+
+Plays rule-based episodes in this process, one core, resets included, and writes
+`results/benchmark.json`. `seconds` are wall-clock: run it on a quiet machine. `cpu_seconds` are
+this process's, and hardly change when the machine is busy.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+os.environ.setdefault("LP_NUM_THREADS", "0")  # software OpenGL: render in this thread
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")
+
+import functools
+import platform
+import resource
+import time
+from collections import defaultdict
+from collections.abc import Callable
+from typing import Any
+
+import mujoco
+import numpy as np
+import torch
+from common import load, parse, save
+from dm_control.mjcf import Physics
+from tqdm import tqdm
+
+import sdfgcn.envs.rearrangement as rearrangement
+from sdfgcn.agents import MODELS
+from sdfgcn.sim.renderer import Renderer
+from sdfgcn.sim.robots import ROBOTS
+
+PARTS = {
+    "physics": [(mujoco, "mj_step"), (mujoco, "mj_resetData"), (Physics, "forward")],
+    "rendering": [(Renderer, "geom_ids")],
+    "sdf": [(rearrangement, "signed_distances")],
+    "push_start": [(rearrangement, "plan_pushes")],
+    "inverse_kinematics": [(robot, "solve") for robot in ROBOTS.values()],
+    "reset_draw": [(rearrangement, "draw_episode")],
+}
+
+
+class Stopwatch:
+    """Adds up the wall-clock time spent in functions, by part; parts do not nest."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.calls: dict[str, int] = defaultdict(int)
+        for part, functions in PARTS.items():
+            for owner, name in functions:
+                setattr(owner, name, self._timed(part, getattr(owner, name)))
+
+    def _timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        @functools.wraps(function)
+        def timed(*args: Any, **kwargs: Any) -> Any:
+            began = time.perf_counter()
+            try:
+                return function(*args, **kwargs)
+            finally:
+                self.seconds[part] += time.perf_counter() - began
+                self.calls[part] += 1
+
+        return timed
+
+    def clear(self) -> None:
+        self.seconds.clear()
+        self.calls.clear()
+
+
+def measure(overrides: list[str], pushes: int, stopwatch: Stopwatch) -> dict[str, Any]:
+    """Play rule-based episodes until `pushes` are made."""
+    config = load(overrides)
+    env = rearrangement.RearrangementEnv(config.env)
+    env.reset_episode(0)
+    stopwatch.clear()
+    made = episodes = 0
+    reset_seconds = 0.0
+    began, cpu_began = time.perf_counter(), time.process_time()
+    with tqdm(total=pushes, unit="push", desc=" ".join(overrides)) as bar:
+        while made < pushes:
+            agent = MODELS[config.model.name](config, np.random.default_rng(episodes))
+            episodes += 1
+            reset_began = time.perf_counter()
+            td = env.reset_episode(episodes)
+            reset_seconds += time.perf_counter() - reset_began
+            while made < pushes:
+                td = env.step(agent(td))["next"]
+                made += 1
+                bar.update()
+                if td["done"]:
+                    break
+    seconds, cpu = time.perf_counter() - began, time.process_time() - cpu_began
+    env.close()
+    parts = {part: stopwatch.seconds[part] for part in PARTS}
+    parts["python"] = seconds - sum(parts.values())
+    return {
+        "objects": config.env.objects.name,
+        "robot": config.env.robot.name,
+        "n_objects": config.n_objects,
+        "split": config.env.split,
+        "pushes": made,
+        "episodes": episodes,
+        "pushes_per_second": made / seconds,
+        "pushes_per_cpu_second": made / cpu,
+        "ms_per_push": {part: 1e3 * value / made for part, value in parts.items()},
+        "ms_per_reset": 1e3 * reset_seconds / episodes,
+        "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
+    }
+
+
+def main() -> None:
+    own, overrides = parse(sys.argv[1:], {"pushes": 400})
+    torch.set_num_threads(1)
+    stopwatch = Stopwatch()
+    runs = [measure([*overrides, f"robot={robot}"], own["pushes"], stopwatch) for robot in ROBOTS]
+    save(
+        "benchmark",
+        {
+            "machine": {
+                "processor": platform.processor() or platform.machine(),
+                "cores": os.cpu_count(),
+                "load_average": os.getloadavg()[0],
+            },
+            "versions": {"mujoco": mujoco.__version__, "torch": torch.__version__},
+            "runs": runs,
+        },
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,42 @@
+"""What the experiments share: the config, the command line, and where results go."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from hydra import compose, initialize_config_dir
+
+from sdfgcn.config import Config, register_schema, typed
+from sdfgcn.files import write_json
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "experiments" / "results"
+
+
+def load(overrides: Sequence[str]) -> Config:
+    """The experiment's config with overrides as on the command line of `run.py`."""
+    register_schema()
+    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
+        return typed(compose("config", overrides=list(overrides)))
+
+
+def parse(arguments: Sequence[str], own: dict[str, int]) -> tuple[dict[str, int], list[str]]:
+    """Split `key=value` arguments into an experiment's own integers and config overrides."""
+    values, overrides = dict(own), []
+    for argument in arguments:
+        key, _, value = argument.partition("=")
+        if key in own:
+            values[key] = int(value)
+        else:
+            overrides.append(argument)
+    return values, overrides
+
+
+def save(name: str, result: dict[str, Any]) -> None:
+    """Write `results/<name>.json` and print it."""
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    write_json(RESULTS / f"{name}.json", result)
+    print(json.dumps(result, indent=2))

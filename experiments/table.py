@@ -1,0 +1,199 @@
+"""A table of finished runs beside the paper's figures.
+
+    python experiments/table.py rule_based multirun/2026-01-31/12-00-00 outputs/2026-01-31/14-00-00
+    python experiments/table.py rule_based FOLDER... --readme README.md
+
+Takes every run folder at or below the folders given and writes `results/<name>.json` (each run's
+whole `results.json`, what was set on its command line and the paper's figure) and
+`results/<name>.md`. With `--readme`, the table also goes between the lines
+`<!-- results:<name> -->` and `<!-- /results -->` of that file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+import sys
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from common import RESULTS
+
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import write_json, write_text
+from sdfgcn.paper import paper_figure
+
+Row = dict[str, Any]
+
+SORTED_BY = ("model", "split", "objects", "scenario", "perception", "n_objects", "robot", "seed")
+# Columns only where the rows differ; else the line above the table says it once.
+TITLE = ("model", "split", "scenario", "perception")
+END = "<!-- /results -->"
+NOTE = (
+    "In brackets: 95% confidence intervals (Wilson's for the success rate, Student's t for means). "
+    "Pushes and error are means over successful episodes. The paper's figures are for ShapeNet "
+    "models, ours for the objects named."
+)
+
+
+def collect(folders: Iterable[Path]) -> list[Row]:
+    """Read the finished runs at or below the folders; a run that is not done is named on stderr.
+
+    Returns:
+        One row a run: its `results.json`, with `overrides`, `ended` and `paper` added.
+
+    Raises:
+        SdfgcnError: One of the folders holds no finished run, or a run's file is damaged.
+    """
+    rows: dict[Path, Row] = {}
+    for folder in folders:
+        runs = {status.parent.resolve() for status in folder.rglob("status.json")}
+        states = {run: _read(run / "status.json") for run in runs}
+        done = {run for run in runs if states[run].get("state") == "done"}
+        if not done:
+            raise SdfgcnError(
+                f"{folder} holds no finished run; give run folders (or a sweep's folder) whose "
+                "status.json says done."
+            )
+        for run in sorted(runs - done):
+            print(f"Left out: {run} ({states[run].get('state')}).", file=sys.stderr)
+        rows |= {run: _row(_read(run / "results.json"), states[run]) for run in done}
+    return sorted(rows.values(), key=lambda row: tuple(row[key] for key in SORTED_BY))
+
+
+def markdown(rows: Sequence[Row]) -> str:
+    """Lay the rows out as a Markdown table, beside the paper's figures where it has them."""
+    named = [key for key in TITLE if len({row[key] for row in rows}) > 1]
+    title = ", ".join(f"{key} {rows[0][key]}" for key in TITLE if key not in named)
+    heads = [
+        *(key.replace("_", " ") for key in (*named, "n_objects", "objects", "robot", "seed")),
+        *("episodes", "success rate", "paper", "pushes", "paper", "error (mm)", "paper"),
+        "out of range",
+    ]
+    lines = [_line(heads), _line(["---"] * len(heads)), *(_line(_cells(row, named)) for row in rows)]
+    head = [f"{title[:1].upper()}{title[1:]}.", ""] if title else []
+    return "\n".join([*head, *lines, "", f"{NOTE} {_provenance(rows)}"]) + "\n"
+
+
+def filled(text: str, name: str, content: str, file: Path) -> str:
+    """Return a text with `content` between the marker lines of the table `name`.
+
+    Raises:
+        SdfgcnError: The text lacks the markers.
+    """
+    begin = f"<!-- results:{name} -->"
+    before, found, rest = text.partition(begin)
+    old, end, after = rest.partition(END)
+    if not (found and end) or "<!-- results:" in old:
+        raise SdfgcnError(f"{file} has no lines {begin} and {END} to put the table between.")
+    return f"{before}{begin}\n{content}{END}{after}"
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise SdfgcnError(f"{file} cannot be read ({error}); run it again.") from error
+    return content
+
+
+def _row(results: dict[str, Any], status: dict[str, Any]) -> Row:
+    figure = None
+    if results["scenario"] == "random":  # the only one that the paper gives figures for
+        figure = paper_figure(results["model"], results["split"], results["n_objects"])
+    return {
+        **results,
+        "overrides": status.get("overrides"),
+        "ended": status.get("ended"),
+        "paper": None if figure is None else asdict(figure),
+    }
+
+
+def _cells(row: Row, named: Sequence[str]) -> list[str]:
+    paper = row["paper"] or {}
+    return [
+        *(str(row[key]) for key in (*named, "n_objects", "objects", "robot", "seed", "episodes")),
+        _percent(row["success_rate"], row["success_rate_ci95"]),
+        _percent(paper.get("success_rate")),
+        _mean(row["steps"], row["steps_ci95"]),
+        _mean(paper.get("steps")),
+        _mean(row["error_mm"], row["error_mm_ci95"]),
+        _mean(paper.get("error_mm")),
+        _percent(row["out_of_range_rate"]),
+    ]
+
+
+def _percent(value: float | None, interval: Sequence[float] | None = None) -> str:
+    return _cell(value, interval, scale=100, digits=0, unit="%")
+
+
+def _mean(value: float | None, interval: Sequence[float] | None = None) -> str:
+    return _cell(value, interval, scale=1, digits=1, unit="")
+
+
+def _cell(
+    value: float | None, interval: Sequence[float] | None, scale: int, digits: int, unit: str
+) -> str:
+    if value is None:
+        return "-"
+    bounds = ", ".join(f"{scale * bound:.{digits}f}" for bound in interval or ())
+    return f"{scale * value:.{digits}f}{unit}" + (f" [{bounds}]" if bounds else "")
+
+
+def _line(cells: Iterable[str]) -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _provenance(rows: Sequence[Row]) -> str:
+    """The paper's tables, the commits and the MuJoCo versions that the rows come from."""
+    tables = sorted({row["paper"]["table"] for row in rows if row["paper"]})
+    commits = sorted({_commit(row["git"]) for row in rows})
+    mujoco = sorted({row["versions"].get("mujoco", "unknown") for row in rows})
+    paper = f"Paper: {' and '.join(tables)}. " if tables else ""
+    return f"{paper}Commit {' and '.join(commits)}; MuJoCo {' and '.join(mujoco)}."
+
+
+def _commit(git: dict[str, Any] | None) -> str:
+    if git is None:
+        return "unknown"
+    return git["commit"][:10] + (" with uncommitted changes" if git["dirty"] else "")
+
+
+def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description="A table of finished runs beside the paper's.")
+    parser.add_argument("name", help="the files' name, such as rule_based")
+    parser.add_argument("folders", nargs="+", type=Path, help="run folders, or a sweep's folder")
+    parser.add_argument("--readme", type=Path, help="a file with marker lines to fill as well")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="where the files go")
+    given = parser.parse_args(arguments)
+    if not re.fullmatch(r"\w[\w.-]*", given.name):
+        parser.error(f"NAME is '{given.name}', but must be a file name without folders.")
+    return given
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    given = _arguments(arguments)
+    try:
+        rows = collect(given.folders)
+        table = markdown(rows)
+        readme = None
+        if given.readme:  # before anything is written
+            text = given.readme.read_text(encoding="utf-8")
+            readme = filled(text, given.name, table, given.readme)
+        given.results.mkdir(parents=True, exist_ok=True)
+        write_json(given.results / f"{given.name}.json", rows)
+        write_text(given.results / f"{given.name}.md", table)
+        if readme is not None:
+            write_text(given.readme, readme)
+    except (SdfgcnError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    print(table, end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

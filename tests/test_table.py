@@ -1,0 +1,174 @@
+"""`experiments/table.py`: run folders to a table."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "experiments"))
+
+import table  # noqa: E402
+
+from sdfgcn.errors import SdfgcnError  # noqa: E402
+
+README = "# Title\n<!-- results:mine -->\nold\n<!-- /results -->\nEnd\n"
+
+
+def finished_run(folder: Path, **changes: object) -> Path:
+    """A run folder as run.py leaves it; 3 of 4 episodes succeeded."""
+    results = {
+        "model": "rule_based",
+        "objects": "scanned",
+        "split": "test",
+        "n_objects": 3,
+        "robot": "gripper",
+        "scenario": "random",
+        "perception": "oracle",
+        "seed": 7,
+        "episodes": 4,
+        "success_rate": 0.75,
+        "success_rate_ci95": [0.301, 0.954],
+        "steps": 40.26,
+        "steps_ci95": [30.04, 50.47],
+        "error_mm": 28.0,
+        "error_mm_ci95": [20.0, 36.0],
+        "out_of_range_rate": 0.25,
+        "episode_seeds": [11, 12, 13, 14],
+        "versions": {"mujoco": "3.17.0"},
+        "git": {"commit": "0123456789abcdef", "dirty": False},
+    }
+    state = changes.pop("state", "done")
+    folder.mkdir(parents=True)
+    status = {"state": state, "overrides": ["seed=7"], "ended": "2026-01-31T12:00:00+00:00"}
+    (folder / "status.json").write_text(json.dumps(status))
+    if state == "done":
+        (folder / "results.json").write_text(json.dumps(results | changes))
+    return folder
+
+
+def cells(line: str) -> list[str]:
+    return [cell.strip() for cell in line.strip("|").split("|")]
+
+
+def body(text: str) -> list[list[str]]:
+    """The table's rows below its head."""
+    return [cells(line) for line in text.splitlines() if line.startswith("|")][2:]
+
+
+def test_a_row_stands_beside_the_paper(tmp_path: Path) -> None:
+    text = table.markdown(table.collect([finished_run(tmp_path / "run")]))
+    title, _, head, *_ = text.splitlines()
+    assert title == "Model rule_based, split test, scenario random, perception oracle."
+    assert cells(head)[:5] == ["n objects", "objects", "robot", "seed", "episodes"]
+    (row,) = body(text)
+    assert row == [
+        *("3", "scanned", "gripper", "7", "4", "75% [30, 95]", "69%", "40.3 [30.0, 50.5]", "59.1"),
+        *("28.0 [20.0, 36.0]", "28.8", "25%"),
+    ]
+    assert "Paper: table II. Commit 0123456789; MuJoCo 3.17.0." in text
+
+
+def test_rows_come_sorted_from_a_sweep_and_from_single_runs(tmp_path: Path) -> None:
+    for job, n in enumerate((6, 2)):
+        finished_run(tmp_path / "sweep" / str(job), n_objects=n)
+    single = finished_run(tmp_path / "single", n_objects=4, robot="ur5e")
+    rows = table.collect([tmp_path / "sweep", single, single])
+    assert [(row["n_objects"], row["robot"]) for row in rows] == [
+        *((2, "gripper"), (4, "ur5e"), (6, "gripper")),
+    ]
+
+
+def test_nothing_succeeded_and_nothing_in_the_paper(tmp_path: Path) -> None:
+    none = {"steps": None, "steps_ci95": None, "error_mm": None, "error_mm_ci95": None}
+    failed = {"success_rate": 0.0, "success_rate_ci95": [0.0, 0.49], "scenario": "swap", **none}
+    text = table.markdown(table.collect([finished_run(tmp_path / "run", **failed, git=None)]))
+    (row,) = body(text)
+    assert row[5:] == ["0% [0, 49]", "-", "-", "-", "-", "-", "25%"]
+    assert "Paper:" not in text
+    assert "Commit unknown;" in text
+
+
+def test_what_differs_becomes_a_column(tmp_path: Path) -> None:
+    folders = [
+        finished_run(tmp_path / split, split=split, git={"commit": "f" * 40, "dirty": True})
+        for split in ("test", "train")
+    ]
+    text = table.markdown(table.collect(folders))
+    assert text.startswith("Model rule_based, scenario random, perception oracle.\n")
+    assert [(row[0], row[7]) for row in body(text)] == [("test", "69%"), ("train", "68%")]
+    assert "Paper: table I and table II. Commit ffffffffff with uncommitted changes;" in text
+
+
+def test_what_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text(README)
+    finished_run(tmp_path / "sweep" / "0")
+    broken = finished_run(tmp_path / "sweep" / "1", state="failed")
+    out = tmp_path / "results"
+    options = ["--readme", str(readme), "--results", str(out)]
+    assert table.main(["mine", str(tmp_path / "sweep"), *options]) == 0
+    printed = capsys.readouterr()
+    assert printed.err == f"Left out: {broken} (failed).\n"
+    (row,) = json.loads((out / "mine.json").read_text())
+    assert row["episode_seeds"] == [11, 12, 13, 14]
+    assert row["git"]["commit"] == "0123456789abcdef"
+    assert (row["overrides"], row["paper"]["steps"]) == (["seed=7"], 59.1)
+    text = (out / "mine.md").read_text()
+    assert printed.out == text
+    once = f"# Title\n<!-- results:mine -->\n{text}<!-- /results -->\nEnd\n"
+    assert readme.read_text() == once
+    assert table.main(["mine", str(tmp_path / "sweep"), *options]) == 0
+    assert readme.read_text() == once
+
+
+@pytest.mark.parametrize("state", ["running", "failed", None])
+def test_refuses_a_folder_without_a_finished_run(
+    state: str | None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    good = finished_run(tmp_path / "good")
+    folder = tmp_path / "runs"
+    if state is not None:
+        finished_run(folder / "0", state=state)
+    assert table.main(["mine", str(good), str(folder), "--results", str(tmp_path / "out")]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"{folder} holds no finished run; give run folders")
+    assert not (tmp_path / "out").exists()
+
+
+def test_writes_nothing_when_the_readme_has_no_place(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    readme = tmp_path / "README.md"
+    readme.write_text(README)
+    folder = finished_run(tmp_path / "run")
+    options = ["--readme", str(readme), "--results", str(tmp_path / "out")]
+    assert table.main(["another", str(folder), *options]) == 1
+    assert "has no lines <!-- results:another --> and <!-- /results -->" in capsys.readouterr().err
+    assert readme.read_text() == README
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_marker_does_not_reach_into_the_next_table() -> None:
+    text = "<!-- results:a -->\n<!-- results:b -->\n<!-- /results -->\n"
+    with pytest.raises(SdfgcnError, match="results:a"):
+        table.filled(text, "a", "new\n", Path("README.md"))
+
+
+def test_a_damaged_run_is_named(tmp_path: Path) -> None:
+    folder = finished_run(tmp_path / "run")
+    (folder / "results.json").write_text('{"model": ')
+    with pytest.raises(SdfgcnError, match=r"run/results\.json cannot be read"):
+        table.collect([folder])
+
+
+def test_the_readme_has_its_place() -> None:
+    text = (ROOT / "README.md").read_text()
+    assert "new\n" in table.filled(text, "rule_based", "new\n", Path("README.md"))
+
+
+def test_a_name_is_no_path(tmp_path: Path) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        table.main(["../mine", str(tmp_path)])
+    assert stopped.value.code == 2
