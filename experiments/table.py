@@ -73,7 +73,11 @@ def markdown(rows: Sequence[Row]) -> str:
         *("episodes", "success rate", "paper", "pushes", "paper", "error (mm)", "paper"),
         "out of range",
     ]
-    lines = [_line(heads), _line(["---"] * len(heads)), *(_line(_cells(row, named)) for row in rows)]
+    lines = [
+        _line(heads),
+        _line(["---"] * len(heads)),
+        *(_line(_cells(row, named)) for row in rows),
+    ]
     head = [f"{title[:1].upper()}{title[1:]}.", ""] if title else []
     return "\n".join([*head, *lines, "", f"{NOTE} {_provenance(rows)}"]) + "\n"
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 TCP_OFFSET = 0.1735  # metres from the gripper's mount to the closed fingertips (measured)
+CONTYPE_ROBOT = 2  # contact bit 1: props touch it, see sdfgcn/sim/props.py
 CLOSED = 255.0  # the 2F-85 model's command for closed fingers
 
 
@@ -96,8 +97,23 @@ def load_gripper() -> mjcf.RootElement:
     # The arena sets the physics options for the whole model.
     del gripper.option.cone
     del gripper.option.impratio
+    drop_visuals(gripper)
     prepare(gripper)
     return gripper
+
+
+def drop_visuals(root: mjcf.RootElement) -> None:
+    """Drop what is only to be looked at: no picture shows the robot.
+
+    The arm's visual meshes take 300 MB and three seconds of compiling.
+    """
+    for geom in root.find_all("geom"):
+        if geom.dclass is not None and geom.dclass.dclass.endswith("visual"):
+            geom.remove()
+    used = {geom.mesh for geom in root.find_all("geom")}
+    for mesh in root.find_all("mesh"):
+        if mesh not in used:
+            mesh.remove()
 
 
 def prepare(root: mjcf.RootElement) -> None:
@@ -107,11 +123,10 @@ def prepare(root: mjcf.RootElement) -> None:
     itself and with the table cost time and cannot occur on a path that planning accepted.
     """
     for body in root.find_all("body"):
-        if body.tag != "worldbody":
+        if body.tag == "body":
             body.gravcomp = 1
     for geom in root.find_all("geom"):
-        visual = geom.dclass is not None and geom.dclass.dclass.endswith("visual")
-        geom.contype = 0 if visual else 2
+        geom.contype = CONTYPE_ROBOT
         geom.conaffinity = 0
 
 
