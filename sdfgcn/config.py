@@ -49,17 +49,17 @@ class ObjectsConfig:
 
 @dataclass
 class RobotConfig:
-    """What executes the push (`conf/robot/`); a key that a robot has no use for is null."""
+    """What executes the push (`conf/robot/`); a key that a robot has no use for is zero."""
 
     name: str = MISSING
     home: list[float] = MISSING
     lead: float = MISSING
-    base_position: list[float] | None = None
-    ik_tolerance: float | None = None
-    ik_steps: int | None = None
-    stiffness: float | None = None
-    yaw_stiffness: float | None = None
-    force_limit: float | None = None
+    base_position: list[float] = field(default_factory=list)
+    ik_tolerance: float = 0.0
+    ik_steps: int = 0
+    stiffness: float = 0.0
+    yaw_stiffness: float = 0.0
+    force_limit: float = 0.0
 
 
 @dataclass

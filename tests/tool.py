@@ -21,6 +21,7 @@ class Fingertips:
         robot.place(physics, robot.solve(np.array([0.0, 0.1, DOWN, 0.0])))
         physics.forward()
         model, data = physics.model.ptr, physics.data.ptr
+        self._ngeom = model.ngeom
         self._geoms, self._corners = [], []
         for geom in np.flatnonzero(robot.owns_geom):
             corners = _corners(model, geom)
@@ -42,7 +43,12 @@ class Fingertips:
     def followed(self) -> Iterator[list[NDArray[np.float64]]]:
         """Collect the position at every simulation step inside the `with` block."""
         path: list[NDArray[np.float64]] = []
-        mujoco.set_mjcb_control(lambda model, data: path.append(self.position(data)))
+
+        def look(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+            if model.ngeom == self._ngeom:  # not the arm's own kinematics
+                path.append(self.position(data))
+
+        mujoco.set_mjcb_control(look)
         try:
             yield path
         finally:

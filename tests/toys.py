@@ -59,7 +59,9 @@ def ball_points(radius: float) -> np.ndarray:
 def can_points(radius: float, height: float) -> np.ndarray:
     """[64, 3] two rims of 32 points, upright."""
     rim = circle(radius, 32)
-    return np.concatenate([np.column_stack([rim, np.full(32, h)]) for h in (-height / 2, height / 2)])
+    return np.concatenate(
+        [np.column_stack([rim, np.full(32, h)]) for h in (-height / 2, height / 2)]
+    )
 
 
 TOYS = (

@@ -88,7 +88,9 @@ def catalogue_folder(cfg: ObjectsConfig) -> Path:
 def _build(cfg: ObjectsConfig) -> list[ObjectModel]:
     source = SOURCES[cfg.name]
     models = []
-    bar = tqdm(source.recipes(cfg), desc=f"Building the {cfg.name} catalogue", unit="object")
+    bar = tqdm(
+        source.recipes(cfg), desc=f"Building the {cfg.name} catalogue", unit="object", disable=None
+    )
     for recipe in bar:
         bar.set_postfix_str(recipe.name, refresh=False)
         try:

@@ -45,7 +45,7 @@ def draw_sheet(cfg: ObjectsConfig, pieces: bool = False) -> Image.Image:
     models = [model for split in SPLITS for model in load_catalogue(cfg, split)]
     rows = -(-len(models) // COLUMNS)
     sheet = Image.new("RGB", (COLUMNS * TILE, rows * (TILE + CAPTION)), "white")
-    for index, model in enumerate(tqdm(models, desc="Drawing", unit="object")):
+    for index, model in enumerate(tqdm(models, desc="Drawing", unit="object", disable=None)):
         corner = (index % COLUMNS * TILE, index // COLUMNS * (TILE + CAPTION))
         sheet.paste(Image.fromarray(_picture(model, cfg.palette, index, pieces)), corner)
         text = ImageDraw.Draw(sheet)

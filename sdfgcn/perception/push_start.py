@@ -80,9 +80,7 @@ def plan_pushes(
     center = centers(masks, camera, config.plane_height)
     # [m, 8, S, 2]: S points on each line, ever further behind the object.
     line = center[:, None, None] - back[:, None] * directions[:, None, :]
-    points = np.concatenate(
-        [line, np.full((*line.shape[:-1], 1), config.plane_height)], axis=-1
-    )
+    points = np.concatenate([line, np.full((*line.shape[:-1], 1), config.plane_height)], axis=-1)
     pixels = camera.project(points)
     scale = camera.focal / ((camera.position - points) @ camera.rotation[:, 2])  # pixels a metre
 

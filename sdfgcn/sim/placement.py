@@ -70,7 +70,7 @@ class Region:
 
     def contains(self, points: NDArray) -> NDArray[np.bool_]:
         """[...] whether each of the [..., 2] points lies inside."""
-        return ((points >= self.low) & (points <= self.high)).all(axis=-1)
+        return np.all((points >= self.low) & (points <= self.high), axis=-1)
 
 
 def footprint(vertices: NDArray, quat: NDArray) -> Polygon:

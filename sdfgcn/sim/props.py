@@ -97,9 +97,7 @@ def rolls(model: ObjectModel) -> bool:
 
 def _add_visual_assets(root: mjcf.RootElement, model: ObjectModel) -> str | None:
     """Add the visual mesh and, where there is one, its texture. Returns the material's name."""
-    root.asset.add(
-        "mesh", name="visual", file=mjcf.Asset(_msh(model), ".msh"), inertia="shell"
-    )
+    root.asset.add("mesh", name="visual", file=mjcf.Asset(_msh(model), ".msh"), inertia="shell")
     if model.texture is None:
         return None
     png = io.BytesIO()

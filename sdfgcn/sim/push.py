@@ -63,7 +63,7 @@ class PushPrimitive:
         start = np.array([*command.start, config.height])
         if not ((command.start >= self._low) & (command.start <= self._high)).all():
             return "unreachable", start, start
-        above = start + [0.0, 0.0, config.approach]
+        above = np.array([*start[:2], config.height + config.approach])
         furthest = self._room(command.start, ahead, command.free + 2.0 * config.length)
         end = start + furthest * np.array([*ahead, 0.0])
         # The fingers stand side by side across the push; half a turn more is the same gripper.

@@ -41,12 +41,13 @@ class RearrangementTask(composer.Task):
         self._props = [Prop(model=model, physics=config.physics) for model in catalogue]
         for i, prop in enumerate(self._props):
             # Parked from the start: props piled up at the origin would all be in contact.
-            self._table.add_free_entity(prop).pos = PARKING + [0.5 * i, 0.0, 0.0]
+            self._table.add_free_entity(prop).pos = PARKING + np.array([0.5 * i, 0.0, 0.0])
         self._primitive = PushPrimitive(config.push, config.arena, self.robot)
         self._range = Region.range(config.arena)
         self.control_timestep = config.physics.timestep
         self._episode: Episode | None = None
-        self.last_push: Push | None = None
+        self._previous = self._distances = np.zeros(0)
+        self._last_push: Push | None = None
 
     @property
     def root_entity(self) -> composer.Entity:
@@ -83,6 +84,13 @@ class RearrangementTask(composer.Task):
             raise RuntimeError("begin() was not called before the first reset")
         return self._episode
 
+    @property
+    def last_push(self) -> Push:
+        """The last push; which object was meant is the caller's to know, so `object` is -1."""
+        if self._last_push is None:
+            raise RuntimeError("there was no push in this episode yet")
+        return self._last_push
+
     # ------------------------------------------------------------------ composer's hooks
 
     def initialize_episode(
@@ -105,7 +113,9 @@ class RearrangementTask(composer.Task):
         active = np.zeros(len(self._props), dtype=bool)
         active[chosen] = True
         model.geom_group[self._visuals] = np.where(active, GROUP_SCENE, GROUP_PARKED)
-        model.geom_rgba[self._visuals[chosen]] = self.episode.colors
+        colors = self.episode.colors.copy()
+        colors[[self._props[i].model.texture is not None for i in chosen]] = 1.0  # no tint
+        model.geom_rgba[self._visuals[chosen]] = colors
         touching = active[self._piece_props]
         model.geom_contype[self._pieces] = touching * CONTYPE_PROP
         model.geom_conaffinity[self._pieces] = touching * CONAFFINITY_PROP
@@ -138,7 +148,7 @@ class RearrangementTask(composer.Task):
         status, start, end = self._primitive.execute(physics, command)
         if status != "unreachable":
             self._settle(physics)
-        self.last_push = Push(
+        self._last_push = Push(
             object=-1, direction=command.direction, start=start, end=end, status=status
         )
 
@@ -202,7 +212,7 @@ class RearrangementTask(composer.Task):
     def resume(self, physics: mjcf.Physics, poses: NDArray) -> None:
         """Go on from [n, 7] poses as if the last push had left the objects there."""
         self.set_poses(physics, poses)
-        self.last_push = None
+        self._last_push = None
         self._previous = self._distances = self.distances(physics)
 
     def _settle(self, physics: mjcf.Physics) -> None:

@@ -19,12 +19,9 @@ class FloatingGripper(Robot):
         self._config = config
         self._root = mjcf.RootElement(model="gripper")
         carriage = self._root.worldbody.add("body", name="carriage")
-        carriage.add(
-            "inertial", pos=[0, 0, 0], mass=1.0, diaginertia=[0.01, 0.01, 0.01]
-        )
+        carriage.add("inertial", pos=[0, 0, 0], mass=1.0, diaginertia=[0.01, 0.01, 0.01])
         self._joints = [
-            carriage.add("joint", name=name, type="slide", axis=axis)
-            for name, axis in AXES.items()
+            carriage.add("joint", name=name, type="slide", axis=axis) for name, axis in AXES.items()
         ]
         self._joints.append(carriage.add("joint", name="yaw", type="hinge", axis=[0, 0, 1]))
         prepare(self._root)

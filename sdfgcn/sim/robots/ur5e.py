@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from sdfgcn.config import RobotConfig
-from sdfgcn.sim.robots.robot import TCP_OFFSET, Robot, Unreachable, drop_visuals, load_gripper, prepare
+from sdfgcn.sim.robots.robot import (
+    TCP_OFFSET,
+    Robot,
+    Unreachable,
+    drop_visuals,
+    load_gripper,
+    prepare,
+)
 
 # In the Menagerie model the tool looks along the arm's +y when the pan joint is at -pi/2.
 PAN_OF_FORWARD = -np.pi / 2
