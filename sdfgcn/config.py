@@ -97,6 +97,7 @@ class PhysicsConfig:
     timestep: float = MISSING
     cone: str = MISSING
     impratio: float = MISSING
+    ccd_tolerance: float = MISSING
     sliding_friction: float = MISSING
     rolling_friction: float = MISSING
     solref: list[float] = MISSING
@@ -116,6 +117,7 @@ class PushConfig:
     approach: float = MISSING
     speed: float = MISSING
     descent_speed: float = MISSING
+    hold: float = MISSING
     lift_speed: float = MISSING
     control_timestep: float = MISSING
     knot: float = MISSING

@@ -79,8 +79,9 @@ def plan_pushes(
     back = np.arange(0.0, MAX_WALK, config.walk)
     center = centers(masks, camera, config.plane_height)
     # [m, 8, S, 2]: S points on each line, ever further behind the object.
-    line = center[:, None, None] - back[:, None] * directions[:, None, :]
-    points = np.concatenate([line, np.full((*line.shape[:-1], 1), config.plane_height)], axis=-1)
+    points = np.full((m, N_DIRECTIONS, len(back), 3), config.plane_height)
+    line = points[..., :2]
+    line[:] = center[:, None, None] - back[:, None] * directions[:, None, :]
     pixels = camera.project(points)
     scale = camera.focal / ((camera.position - points) @ camera.rotation[:, 2])  # pixels a metre
 

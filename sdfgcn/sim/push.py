@@ -77,14 +77,16 @@ class PushPrimitive:
 
         self._robot.place(physics, q_above)
         physics.forward()
-        reached, blocked = self._follow(
+        _, blocked = self._follow(
             physics, descent, config.descent_speed, stop_at=config.blocked_force
         )
         if blocked:
-            self._lift(physics, yaw, *descent.at(reached))
+            # The way it came is free. Turning round takes the arm long enough to shift the prop.
+            self._robot.place(physics, self._robot.home)
             return "blocked", start, start
         reached, touched = self._push(physics, push, command.free + config.length)
         position, joints = push.at(reached)
+        self._hold(physics, joints)
         self._lift(physics, yaw, position, joints)
         return ("done" if touched else "no_contact"), start, position
 
@@ -96,6 +98,12 @@ class PushPrimitive:
             stop = reached + config.length if config.touch else expected
             reached, _ = self._follow(physics, path, config.speed, origin=reached, until=stop)
         return reached, touched
+
+    def _hold(self, physics: mjcf.Physics, joints: NDArray) -> None:
+        """Stand still: rising while it still presses, the tool would throw the prop."""
+        physics.data.ctrl[self._robot.drive_ids] = joints
+        steps = round(self._config.hold / physics.timestep())
+        mujoco.mj_step(physics.model.ptr, physics.data.ptr, steps)
 
     def _lift(self, physics: mjcf.Physics, yaw: float, bottom: NDArray, joints: NDArray) -> None:
         """Straight up to the approach height, then home."""
@@ -130,7 +138,8 @@ class PushPrimitive:
         Returns:
             How far along the path the tool was sent, and whether it was stopped.
         """
-        tick = self._config.control_timestep
+        # Where no touch has to be noticed, every other command is enough.
+        tick = self._config.control_timestep * (2 if stop_at is None else 1)
         steps = round(tick / physics.timestep())
         until = min(until, path.length)
         ticks = max(1, int(np.ceil((until - origin) / (speed * tick) - 1e-9)))
