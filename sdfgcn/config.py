@@ -117,6 +117,7 @@ class PushConfig:
     approach: float = MISSING
     speed: float = MISSING
     descent_speed: float = MISSING
+    brake: float = MISSING
     hold: float = MISSING
     lift_speed: float = MISSING
     control_timestep: float = MISSING

@@ -148,6 +148,7 @@ class RearrangementTask(composer.Task):
         status, start, end = self._primitive.execute(physics, command)
         if status != "unreachable":
             self._settle(physics)
+        self._left = self.poses(physics)
         self._last_push = Push(
             object=-1, direction=command.direction, start=start, end=end, status=status
         )
@@ -156,10 +157,11 @@ class RearrangementTask(composer.Task):
         """Leave the simulation in a state that follows from the props' poses alone.
 
         Velocities, warm starts and sleep are cleared, so that the next push depends on nothing
-        that a saved pose does not hold.
+        that a saved pose does not hold. Composer's own step after the push is taken back: a
+        push that is given up moves nothing.
         """
         del random_state
-        self.set_poses(physics, self.poses(physics))
+        self.set_poses(physics, self._left)
         self._previous, self._distances = self._distances, self.distances(physics)
 
     def get_reward(self, physics: mjcf.Physics) -> float:

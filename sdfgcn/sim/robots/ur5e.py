@@ -53,8 +53,8 @@ class UR5e(Robot):
 
     @property
     def lead(self) -> NDArray:
-        """[6] seconds: every drive of the model has damping = stiffness / 5."""
-        return np.full(6, 0.2)
+        """[6] seconds."""
+        return np.full(6, self._config.lead)
 
 
 class _Kinematics:
