@@ -18,7 +18,7 @@ from sdfgcn.sim.camera import CameraModel
 from sdfgcn.sim.push import direction_vector
 from sdfgcn.sim.types import PushCommand
 
-MAX_WALK = 0.35  # metres back from the centre: past the largest object and one behind it
+MAX_WALK = 0.25  # metres back from the centre: past the largest object and one behind it
 
 
 @dataclass(frozen=True)
@@ -48,10 +48,10 @@ def centers(
     masks: NDArray[np.bool_], camera: CameraModel, plane_height: float
 ) -> NDArray[np.float64]:
     """[m, 2] the centre of each of the [m, H, W] masks on the table, metres; none may be empty."""
-    rows, columns = np.indices(masks.shape[1:]) + 0.5
-    weight = masks.sum(axis=(1, 2))
-    u = (masks * columns).sum(axis=(1, 2)) / weight
-    v = (masks * rows).sum(axis=(1, 2)) / weight
+    per_row, per_column = masks.sum(axis=2), masks.sum(axis=1)
+    weight = per_row.sum(axis=1)
+    u = per_column @ (np.arange(masks.shape[2]) + 0.5) / weight
+    v = per_row @ (np.arange(masks.shape[1]) + 0.5) / weight
     return camera.back_project(np.stack([u, v], axis=-1), plane_height)[..., :2]
 
 

@@ -148,7 +148,7 @@ class PushPrimitive:
         # The velocity feed-forward takes out the lag of the drives.
         control = joints[1:] + self._robot.lead * np.diff(joints, axis=0) / tick
         # Without it at the end the tool comes to rest there and does not shoot past.
-        brake = round(self._config.brake / tick)
+        brake = min(ticks, round(self._config.brake / tick))
         control[ticks - brake :] = joints[ticks + 1 - brake :]
         model, data, drives = physics.model.ptr, physics.data.ptr, self._robot.drive_ids
         for reached, command in zip(travelled[1:], control, strict=True):
