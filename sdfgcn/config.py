@@ -42,6 +42,7 @@ class ObjectsConfig:
     settle_speed: float = MISSING
     settle_friction: list[float] = MISSING
     settle_min_probability: float = MISSING
+    settle_min_tilt: float = MISSING
     palette: list[list[float]] = MISSING
     root: str | None = None
     split_file: str | None = None

@@ -18,7 +18,7 @@ from sdfgcn.objects.model import ObjectModel, Recipe
 from sdfgcn.objects.prepare import prepare
 from sdfgcn.objects.storage import cache_dir, read_models, write_models
 
-FORMAT = 2  # raise it whenever the same settings would now give other objects
+FORMAT = 3  # raise it whenever the same settings would now give other objects
 _NOT_IN_KEY = ("palette", "root", "split_file")  # these do not change what is cached, or see below
 
 log = logging.getLogger(__name__)

@@ -15,7 +15,7 @@ from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.convex import compound_volume_centroid, diameter, hull_vertices, merge_pieces
 from sdfgcn.objects.meshes import decimate
 from sdfgcn.objects.model import ObjectModel, Recipe, Shape
-from sdfgcn.objects.resting import Pose, find_rests, to_rest
+from sdfgcn.objects.resting import Pose, find_rests, tipping_angle, to_rest
 
 
 def prepare(recipe: Recipe, cfg: ObjectsConfig) -> ObjectModel:
@@ -103,9 +103,16 @@ def _first_scale(shape: Shape, cfg: ObjectsConfig) -> float:
 def _poses(shape: Shape, cfg: ObjectsConfig, rng: np.random.Generator) -> list[Pose]:
     solid = np.concatenate(shape.pieces)
     points = np.concatenate([solid, shape.vertices])
-    return [
+    poses = [
         _measured(rotation, probability, solid, points)
         for rotation, probability in find_rests(shape.pieces, cfg, rng)
+    ]
+    # An object on its narrow side falls over when it is pushed, and lands far from there.
+    low = 2.0 * min((pose.height for pose in poses), default=0.0)
+    return [
+        pose
+        for pose in poses
+        if pose.height <= low or tipping_angle(pose.rotation.apply(solid)) >= cfg.settle_min_tilt
     ]
 
 

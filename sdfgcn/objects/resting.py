@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from sdfgcn.config import ObjectsConfig
@@ -58,6 +59,25 @@ def find_rests(
     drops = [_drop(model, points, rotation, cfg) for rotation in _orientations(cfg, rng)]
     settled = [rotation for rotation in drops if rotation is not None]
     return _group(settled, points, cfg.settle_min_probability) if settled else []
+
+
+def tipping_angle(points: NDArray) -> float:
+    """How far an object must be tilted before it falls over.
+
+    Args:
+        points: [P, 3] collision vertices, turned as the object rests; the origin is its centre
+            of mass. The support is what lies within 2% of the object's size of the lowest point.
+
+    Returns:
+        Degrees; 0 where the support is a line or a point.
+    """
+    bottom = points[:, 2].min()
+    support = points[points[:, 2] < bottom + 0.02 * np.ptp(points, axis=0).max(), :2]
+    try:
+        edges = ConvexHull(support).equations  # outward normals; offset = -distance from origin
+    except QhullError:
+        return 0.0
+    return float(np.degrees(np.arctan2(max(0.0, -edges[:, -1].max()), -bottom)))
 
 
 def _orientations(cfg: ObjectsConfig, rng: np.random.Generator) -> list[Rotation]:

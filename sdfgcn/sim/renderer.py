@@ -23,6 +23,7 @@ class Renderer:
         self._option = MjvOption()
         self._option.geomgroup[:] = 0
         self._option.geomgroup[GROUP_SCENE] = 1
+        self._option.sitegroup[:] = 0
         self._camera = Camera(physics, height=size, width=size, camera_id=CAMERA)
 
     def pixels(self) -> NDArray[np.uint8]:
