@@ -1,5 +1,7 @@
 """Set-up for all tests, and the environments that they share."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing

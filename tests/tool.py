@@ -21,7 +21,7 @@ class Fingertips:
         robot.place(physics, robot.solve(np.array([0.0, 0.1, DOWN, 0.0])))
         physics.forward()
         model, data = physics.model.ptr, physics.data.ptr
-        self._ngeom = model.ngeom
+        self.ngeom = model.ngeom
         self._geoms, self._corners = [], []
         for geom in np.flatnonzero(robot.owns_geom):
             corners = _corners(model, geom)
@@ -39,20 +39,39 @@ class Fingertips:
         low, high = points[:, :2].min(axis=0), points[:, :2].max(axis=0)
         return np.array([*(0.5 * (low + high)), points[:, 2].min()])
 
+    def across(self, data: mujoco.MjData) -> NDArray[np.float64]:
+        """[2] unit vector from one finger to the other."""
+        places = [
+            _place(data, geom, corners)[:, :2].mean(axis=0)
+            for geom, corners in zip(self._geoms, self._corners, strict=True)
+        ]
+        apart = places[int(np.argmax(np.linalg.norm(places - places[0], axis=1)))] - places[0]
+        return apart / np.linalg.norm(apart)
+
     @contextmanager
-    def followed(self) -> Iterator[list[NDArray[np.float64]]]:
-        """Collect the position at every simulation step inside the `with` block."""
-        path: list[NDArray[np.float64]] = []
-
-        def look(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-            if model.ngeom == self._ngeom:  # not the arm's own kinematics
-                path.append(self.position(data))
-
-        mujoco.set_mjcb_control(look)
+    def followed(self) -> Iterator["Followed"]:
+        """Look at the fingertips in every simulation step inside the `with` block."""
+        seen = Followed(self)
+        mujoco.set_mjcb_control(seen.look)
         try:
-            yield path
+            yield seen
         finally:
             mujoco.set_mjcb_control(None)
+
+
+class Followed:
+    """Position and direction of the fingers, one entry per simulation step."""
+
+    def __init__(self, tips: Fingertips):
+        self._tips = tips
+        self.path: list[NDArray[np.float64]] = []
+        self.across: list[NDArray[np.float64]] = []
+
+    def look(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        """MuJoCo's control callback; it is also called for the arm's own kinematics."""
+        if model.ngeom == self._tips.ngeom:
+            self.path.append(self._tips.position(data))
+            self.across.append(self._tips.across(data))
 
 
 def _corners(model: mujoco.MjModel, geom: int) -> NDArray[np.float64]:

@@ -1,10 +1,12 @@
 """A catalogue of plain bodies whose sizes are known, and episodes laid out by hand."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
+from scipy.spatial.transform import Rotation
 from tensordict import TensorDictBase
 
 from sdfgcn.config import EnvConfig
@@ -13,10 +15,12 @@ from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.objects.primitives import circle
 from sdfgcn.sim.episode import Episode
+from sdfgcn.sim.types import Push
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 ON_ITS_SIDE = (0.5**0.5, 0.5**0.5, 0.0, 0.0)  # a quarter turn about x
 BOX, SLAB, BALL, CAN = range(4)  # indices into TOYS
+FAR = (0.30, 0.35)
 
 
 def toy(name: str, points: np.ndarray, rest: tuple = IDENTITY, mass: float = 0.05) -> ObjectModel:
@@ -83,16 +87,32 @@ def lay_out(
     env: RearrangementEnv,
     objects: Sequence[int],
     start: Sequence[tuple[float, float]],
-    goal: Sequence[tuple[float, float]],
+    goal: Sequence[tuple[float, float]] | None = None,
+    yaw: float = 0.0,
 ) -> TensorDictBase:
-    """Begin an episode with catalogue objects at [n] points, metres, in their first rest."""
+    """Begin an episode with objects of the catalogue at [n] points, in their first rest.
+
+    Args:
+        env: Where.
+        objects: Indices into the catalogue.
+        start: Metres.
+        goal: Metres; where nothing is pushed to if None: the far corner of the allowed region.
+        yaw: Turns every object, radians.
+    """
     rests = [env.catalogue[i].rests[0] for i in objects]
-    upright = [[rest.height, *rest.quat] for rest in rests]
+    turn = Rotation.from_euler("z", yaw)
+    upright = [
+        [
+            rest.height,
+            *(turn * Rotation.from_quat(rest.quat, scalar_first=True)).as_quat(scalar_first=True),
+        ]
+        for rest in rests
+    ]
     episode = Episode(
         seed=0,
         objects=np.array(objects),
         start=np.hstack([start, upright]),
-        goal=np.hstack([goal, upright]),
+        goal=np.hstack([[FAR] * len(objects) if goal is None else goal, upright]),
         colors=np.tile([0.8, 0.1, 0.1, 1.0], (len(objects), 1)),
     )
     return begin(env, episode)
@@ -102,6 +122,28 @@ def begin(env: RearrangementEnv, episode: Episode) -> TensorDictBase:
     """Begin any episode, also one that the environment's own scenario would not draw."""
     rng = np.random.default_rng(0).bit_generator.state
     return env.restore_state({"episode": episode, "poses": episode.start, "pushes": 0, "rng": rng})
+
+
+@dataclass(frozen=True)
+class Pushed:
+    """A push at hand-picked coordinates and what it did; [n, 7] poses."""
+
+    record: Push
+    before: np.ndarray
+    after: np.ndarray
+
+    @property
+    def moved(self) -> np.ndarray:
+        """[n, 3] metres."""
+        return (self.after - self.before)[:, :3]
+
+
+def push(env: RearrangementEnv, start: Sequence[float], direction: int, free: float) -> Pushed:
+    """Push from `start` [2] whatever the picture says, past the planning of the environment."""
+    task, world = env._task, env._environment
+    before = task.poses(world.physics)
+    world.step(np.array([*start, direction, free]))
+    return Pushed(task.last_push, before, task.poses(world.physics))
 
 
 def act(env: RearrangementEnv, td: TensorDictBase, action: int) -> TensorDictBase:

@@ -1,0 +1,180 @@
+"""Every robot's tool goes where it is sent, and does to objects what a push should do."""
+
+import numpy as np
+import pytest
+from conftest import Envs
+from tool import Fingertips
+from toys import BALL, BOX, CAN, SLAB, lay_out, push
+
+from sdfgcn.config import N_DIRECTIONS
+from sdfgcn.envs.rearrangement import RearrangementEnv
+from sdfgcn.sim.push import direction_angle, direction_vector
+from sdfgcn.sim.robots import ROBOTS, Unreachable
+
+MIDDLE = np.array([0.02, 0.08])  # metres
+
+
+@pytest.fixture(scope="module", params=sorted(ROBOTS))
+def env(request: pytest.FixtureRequest, toys_of: Envs) -> RearrangementEnv:
+    return toys_of(request.param)
+
+
+@pytest.fixture(scope="module")
+def tips(env: RearrangementEnv) -> Fingertips:
+    lay_out(env, [BOX], [MIDDLE])
+    return Fingertips(env._environment.physics, env._task.robot)
+
+
+def behind(direction: int, distance: float) -> np.ndarray:
+    return MIDDLE - distance * direction_vector(direction)
+
+
+# ------------------------------------------------------------------ the tool
+
+
+def test_tool_is_where_the_joints_are_solved_for(env, tips):
+    robot, physics = env._task.robot, env._environment.physics
+    arena, approach = env.config.arena, env.config.push.approach
+    for x in (*arena.reach_x, 0.1):
+        for y in (*arena.reach_y, 0.05):
+            for z, yaw in ((0.004, -np.pi / 2), (0.004 + approach, np.pi / 4), (0.004, 0.3)):
+                robot.place(physics, robot.solve(np.array([x, y, z, yaw])))
+                physics.forward()
+                np.testing.assert_allclose(tips.position(physics.data.ptr), [x, y, z], atol=0.0005)
+                # At yaw 0 the fingers stand side by side along x (or its opposite).
+                side = np.array([np.cos(yaw), np.sin(yaw)])
+                assert abs(tips.across(physics.data.ptr) @ side) > np.cos(0.01)
+
+
+@pytest.mark.parametrize("direction", range(N_DIRECTIONS))
+def test_tool_follows_the_path(env, tips, direction):
+    """Straight down, straight ahead at the push height, straight up."""
+    lay_out(env, [BOX], [(-0.2, -0.1)])
+    ahead, config = direction_vector(direction), env.config.push
+    begin = behind(direction, 0.05)
+    with tips.followed() as followed:
+        record = push(env, begin, direction, free=0.04).record
+    assert record.status == "no_contact"
+    np.testing.assert_allclose(record.start, [*begin, config.height], atol=1e-9)
+    # Nothing was touched, so it went as far as the free distance and the push length.
+    np.testing.assert_allclose(record.end[:2], begin + 0.10 * ahead, atol=1e-9)
+
+    # Before and after, the tool jumps: only what is near the line belongs to the push.
+    path, across = np.array(followed.path), np.array(followed.across)
+    along, aside = (path[:, :2] - begin) @ ahead, (path[:, :2] - begin) @ [-ahead[1], ahead[0]]
+    near = (np.abs(along - 0.05) < 0.06) & (np.abs(aside) < 0.01) & (path[:, 2] < 0.13)
+    first, last = np.flatnonzero(near)[[0, -1]]
+    assert near[first : last + 1].all()
+    path, along, aside = path[first:last, 2], along[first:last], aside[first:last]
+    low = np.flatnonzero(path < config.height + 0.003)
+    work = slice(low[0], low[-1] + 1)
+    down, up = slice(0, low[0]), slice(low[-1] + 1, None)
+
+    close = 0.001 if env.config.robot.name == "gripper" else 0.005
+    assert path[0] == pytest.approx(config.height + config.approach, abs=0.001)
+    assert len(path[down]) > 20 and (np.diff(path[down]) < close).all()
+    assert np.abs(along[down]).max() < close and np.abs(aside[down]).max() < close
+    assert path[work].min() > config.height - min(close, 0.003)
+    assert np.median(path[work]) == pytest.approx(config.height, abs=0.002)
+    assert along[work].min() > -close and np.abs(aside[work]).max() < close
+    assert along[work][-1] == pytest.approx(0.10, abs=close)
+    assert (np.diff(path[up]) > 0.0).all() and path[up][-1] > 0.07
+    np.testing.assert_allclose(along[up], 0.10, atol=2 * close)
+    # The fingers stand side by side across the push.
+    assert np.abs(across[first:last] @ ahead).max() < 0.05
+
+
+def test_unreachable_pose_is_said_so(env):
+    if env.config.robot.name == "gripper":
+        pytest.skip("a floating gripper reaches everything")
+    with pytest.raises(Unreachable, match="no joint positions"):
+        env._task.robot.solve(np.array([1.5, 0.0, 0.1, 0.0]))
+
+
+def test_tool_stays_within_its_bounds(env, tips):
+    lay_out(env, [BOX], [MIDDLE])
+    record = push(env, (0.30, 0.38), 1, free=0.0).record
+    # y = 0.40 is reached after 2 cm, x = 0.35 would be after 5 cm.
+    np.testing.assert_allclose(record.end[:2], [0.32, 0.40], atol=1e-9)
+
+
+# ------------------------------------------------------------------ what it does to objects
+
+
+@pytest.mark.parametrize("direction", range(N_DIRECTIONS))
+@pytest.mark.parametrize("toy", [BOX, SLAB])
+def test_push_moves_a_box_by_its_length(env, toy, direction):
+    # The toys are 6 cm deep in x or y; turned so that a face meets the tool squarely.
+    half, quarter = (0.03, 0.0) if toy == BOX else (0.03, np.pi / 2)
+    lay_out(env, [toy], [MIDDLE], yaw=direction_angle(direction) + quarter)
+    done = push(env, behind(direction, half + 0.03), direction, free=0.03)
+    assert done.record.status == "done"
+    distance = np.linalg.norm(done.moved[0, :2])
+    assert distance == pytest.approx(env.config.push.length, abs=0.015)
+    assert done.moved[0, :2] @ direction_vector(direction) / distance > np.cos(np.radians(10))
+    assert abs(done.moved[0, 2]) < 0.0005
+
+
+@pytest.mark.parametrize("free", [0.0, 0.06])
+def test_length_counts_from_the_first_touch(env, free):
+    """The picture may be wrong by 3 cm either way."""
+    lay_out(env, [BOX], [MIDDLE])
+    done = push(env, behind(0, 0.06), 0, free)
+    assert done.record.status == "done"
+    assert done.moved[0, 0] == pytest.approx(env.config.push.length, abs=0.015)
+
+
+def test_push_through_thin_air_moves_nothing(env):
+    lay_out(env, [BOX, BALL], [MIDDLE, (-0.2, 0.2)])
+    done = push(env, behind(2, 0.2), 2, free=0.0)
+    assert done.record.status == "no_contact"
+    assert np.abs(done.moved).max() < 1e-4
+
+
+@pytest.mark.parametrize("toy", [BOX, SLAB, BALL, CAN])
+@pytest.mark.parametrize("direction", [0, 3])
+def test_descent_onto_an_object_is_given_up(env, toy, direction):
+    lay_out(env, [toy], [MIDDLE])
+    done = push(env, MIDDLE, direction, free=0.02)
+    assert done.record.status == "blocked"
+    assert np.abs(done.moved).max() < 0.001
+    np.testing.assert_array_equal(done.record.end, done.record.start)
+
+
+@pytest.mark.parametrize(
+    "start", [(0.36, 0.1), (0.0, 0.41), (-0.36, 0.0), (0.0, -0.23), (np.nan, np.nan), (0.0, np.nan)]
+)
+def test_start_out_of_bounds_moves_nothing(env, start):
+    lay_out(env, [BOX, BALL], [MIDDLE, (-0.2, 0.2)])
+    done = push(env, start, 4, free=0.02)
+    assert done.record.status == "unreachable"
+    np.testing.assert_array_equal(done.after, done.before)
+
+
+def test_robots_push_alike(env_of: Envs):
+    """The issue's figures: within 5 mm and 10 degrees on average, over random pushes."""
+    envs = [env_of(f"robot={robot}") for robot in sorted(ROBOTS)]
+    rng = np.random.default_rng(0)
+    moves = []
+    for seed in range(18):
+        legal = [env.reset_episode(seed)["action_mask"].numpy() for env in envs]
+        np.testing.assert_array_equal(legal[0], legal[1])
+        start = envs[0].episode_start.scene.poses
+        for action in rng.choice(np.flatnonzero(legal[0]), size=3, replace=False):
+            slot, direction = divmod(action, N_DIRECTIONS)
+            command = envs[0]._plan.command(slot, direction)
+            pair = []
+            for env in envs:
+                env._task.resume(env._environment.physics, start)
+                pair.append(push(env, command.start, direction, command.free).moved[slot, :2])
+            moves.append(pair)
+    assert len(moves) >= 50
+    apart = np.linalg.norm(np.diff(moves, axis=1)[:, 0], axis=-1)
+    lengths = np.linalg.norm(moves, axis=-1)
+    assert apart.mean() < 0.005
+    assert abs(np.diff(lengths.mean(axis=0))) < 0.005
+    both = lengths.min(axis=1) > 0.01  # a shorter move has no direction to speak of
+    assert both.sum() >= 45
+    units = (np.array(moves) / lengths[..., None])[both]
+    angles = np.degrees(np.arccos(np.clip((units[:, 0] * units[:, 1]).sum(axis=-1), -1, 1)))
+    assert angles.mean() < 10

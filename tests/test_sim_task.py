@@ -1,0 +1,288 @@
+"""The task: what is seen of it, what it remembers, and how an episode ends."""
+
+import mujoco
+import numpy as np
+import pytest
+from configs import real_config
+from conftest import Envs
+from toys import BALL, BOX, CAN, SLAB, act, begin, lay_out
+
+from sdfgcn.config import N_DIRECTIONS
+from sdfgcn.envs.rearrangement import RearrangementEnv
+from sdfgcn.sim.arena import camera_model
+from sdfgcn.sim.episode import draw_episode
+from sdfgcn.sim.robots import ROBOTS
+
+
+@pytest.fixture(scope="module", params=sorted(ROBOTS))
+def env(request: pytest.FixtureRequest, toys_of: Envs) -> RearrangementEnv:
+    """Only what the robot has a part in: seeing, and being out of the way."""
+    return toys_of(request.param)
+
+
+@pytest.fixture(scope="module")
+def toys(toys_of: Envs) -> RearrangementEnv:
+    return toys_of("gripper")
+
+
+def owners(env: RearrangementEnv) -> set[str]:
+    """Names of the models that the picture shows."""
+    model = env._environment.physics.model
+    names = {model.id2name(int(geom), "geom") for geom in np.unique(env._renderer.geom_ids())}
+    return {name.split("/")[0] for name in names}
+
+
+# ------------------------------------------------------------------ the picture
+
+
+def test_picture_shows_table_and_props_and_nothing_else(env):
+    lay_out(env, [BALL, BOX], [(-0.1, 0.0), (0.1, 0.2)])
+    assert owners(env) == {"table", "ball", "box"}
+    lay_out(env, [CAN], [(0.0, 0.1)])
+    assert owners(env) == {"table", "can"}
+
+
+def test_robot_is_never_in_the_picture(env):
+    lay_out(env, [BOX], [(0.0, 0.1)])
+    physics, robot = env._environment.physics, env._task.robot
+    before = env._renderer.pixels(), env._renderer.geom_ids()
+    # Right above the box, in front of the camera.
+    robot.place(physics, robot.solve(np.array([0.0, 0.1, 0.06, 0.0])))
+    physics.forward()
+    np.testing.assert_array_equal(env._renderer.pixels(), before[0])
+    np.testing.assert_array_equal(env._renderer.geom_ids(), before[1])
+
+
+def test_parked_prop_is_not_drawn_even_in_the_middle(toys):
+    lay_out(toys, [BOX], [(0.0, 0.1)])
+    physics = toys._environment.physics
+    before = toys._renderer.geom_ids()
+    physics.data.qpos[toys._task._qpos[BALL]] = [0.0, 0.0, 0.05, 1.0, 0.0, 0.0, 0.0]
+    physics.forward()
+    np.testing.assert_array_equal(toys._renderer.geom_ids(), before)
+
+
+def test_slots_follow_the_episode_not_the_catalogue(toys):
+    lay_out(toys, [CAN, BOX, BALL], [(-0.15, 0.0), (0.15, 0.0), (0.0, 0.25)])
+    model, slots = toys._environment.physics.model, toys._task.slot_of_geom
+    named = {
+        model.id2name(int(geom), "geom").split("/")[0]: int(slots[geom])
+        for geom in np.flatnonzero(slots >= 0)
+    }
+    assert named == {"can": 0, "box": 1, "ball": 2}
+    assert slots[-1] == -1  # "no geom" belongs to nobody
+    masks = toys.episode_start.scene.masks
+    rows, columns = (
+        [np.flatnonzero(mask.any(axis=axis)).mean() for mask in masks] for axis in (1, 0)
+    )
+    assert columns[0] < columns[2] < columns[1]  # x grows to the right
+    assert rows[2] < min(rows[0], rows[1])  # y grows upwards
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_mask_centres_project_back_onto_the_objects(env_of: Envs, seed):
+    env = env_of("robot=gripper", "n_objects=6")
+    env.reset_episode(seed)
+    for mask, pose in zip(
+        env.episode_start.scene.masks, env.episode_start.scene.poses, strict=True
+    ):
+        rows, columns = np.nonzero(mask)
+        middle = [columns.mean() + 0.5, rows.mean() + 0.5]
+        point = env.camera.back_project(middle, pose[2])
+        assert np.linalg.norm(point[:2] - pose[:2]) < 0.02
+
+
+def test_camera_sees_all_of_the_allowed_region():
+    config = real_config("objects=household").env
+    camera, arena = camera_model(config.arena), config.arena
+    corners = [(x, y, z) for x in arena.range_x for y in arena.range_y for z in (0.0, 0.06)]
+    pixels = camera.project(corners)
+    assert ((pixels >= 0) & (pixels <= arena.image_size)).all()
+    assert arena.image_size == 96
+    # Tilted 30 degrees from straight down.
+    assert np.degrees(np.arccos(camera.rotation[2, 2])) == pytest.approx(30.0)
+
+
+# ------------------------------------------------------------------ colours and parking
+
+
+def test_props_have_the_episodes_colours(toys):
+    lay_out(toys, [BALL, BOX], [(-0.1, 0.0), (0.1, 0.2)])
+    model, task = toys._environment.physics.model, toys._task
+    np.testing.assert_allclose(
+        model.geom_rgba[task._visuals[[BALL, BOX]]], task.episode.colors, atol=1e-6
+    )
+
+
+def test_parked_props_touch_nothing_and_sleep(toys):
+    lay_out(toys, [BOX], [(0.0, 0.1)])
+    physics, task = toys._environment.physics, toys._task
+    mujoco.mj_step(physics.model.ptr, physics.data.ptr, 1)
+    trees = physics.model.body_treeid[task._bodies]
+    asleep = physics.data.tree_asleep[trees] >= 0
+    assert asleep.tolist() == [False, True, True, True]
+    # A parked prop brought to the table stays in the air, out of reach of everything.
+    physics.data.qpos[task._qpos[SLAB]] = [0.0, 0.1, 0.02, 1.0, 0.0, 0.0, 0.0]
+    physics.forward()
+    touching = np.unique(physics.data.contact.geom)
+    assert task._visuals[SLAB] not in touching
+    assert not np.isin(task._pieces[task._piece_props == SLAB], touching).any()
+
+
+# ------------------------------------------------------------------ how an episode goes
+
+
+def test_success_ends_the_episode_with_its_bonus(toys):
+    # Pushed 6 to 7 cm along x, the box ends about 2 cm short of its goal.
+    td = lay_out(toys, [BOX], [(-0.1, 0.1)], [(-0.01, 0.1)])
+    after = act(toys, td, 0)
+    left = float(np.linalg.norm(toys.last_step.scene.poses[0, :2] - [-0.01, 0.1]))
+    assert left < 0.04
+    assert after["success"].item() and after["terminated"].item()
+    assert not after["truncated"].item() and not after["out_of_range"].item()
+    assert after["reward"].item() == pytest.approx(30 * (0.09 - left) - 0.02 + 10, abs=1e-3)
+    assert toys.last_step.distances.tolist() == pytest.approx([left])
+    assert after["pushes"].item() == 1
+
+
+def test_success_needs_every_object_at_once(toys):
+    places = [(-0.1, 0.1), (0.15, 0.0)]
+    td = lay_out(toys, [BOX, BALL], places, [(-0.01, 0.1), (0.15, 0.051)])
+    after = act(toys, td, 0)
+    assert toys.last_step.distances[0] < 0.04 and toys.last_step.distances[1] > 0.05
+    assert not after["success"].item() and not after["done"].item()
+    td = lay_out(toys, [BOX, BALL], places, [(-0.01, 0.1), (0.15, 0.049)])
+    after = act(toys, td, 0)
+    assert after["success"].item() and after["done"].item()
+
+
+def test_out_of_range_ends_the_episode_with_its_penalty(toys):
+    # 2 cm from the edge at x = 0.31; the push heads outwards.
+    td = lay_out(toys, [BOX], [(0.29, 0.1)], [(0.15, 0.1)])
+    after = act(toys, td, 0)
+    x, y = toys.last_step.scene.poses[0, :2]
+    assert x > 0.31
+    assert after["out_of_range"].item() and after["terminated"].item()
+    assert not after["success"].item() and not after["truncated"].item()
+    progress = 30 * (0.14 - np.hypot(x - 0.15, y - 0.1))
+    terms = toys.last_step.reward_terms
+    assert terms["progress"] == pytest.approx(progress, abs=1e-6)
+    assert after["reward"].item() == pytest.approx(max(progress - 0.02, -1.0) - 2.0, abs=1e-5)
+
+
+def test_reward_counts_every_object_that_moved(toys):
+    # The box pushes the can on: both come nearer to goals on the right.
+    td = lay_out(toys, [BOX, CAN], [(-0.1, 0.1), (-0.03, 0.1)], [(0.2, 0.1), (0.25, 0.2)])
+    before = np.array([0.3, np.hypot(0.28, 0.1)])
+    after = act(toys, td, 0)
+    assert (toys.last_step.distances < before - 0.02).all()
+    wanted = 30 * (before.sum() - toys.last_step.distances.sum()) - 0.02
+    assert after["reward"].item() == pytest.approx(wanted, abs=1e-3)
+
+
+# ------------------------------------------------------------------ what is not seen
+
+
+def away(env: RearrangementEnv, *slots: int) -> None:
+    """Put objects far outside the picture, behind the environment's back."""
+    task, physics = env._task, env._environment.physics
+    poses = task.poses(physics)
+    poses[list(slots), 0] = 1.0 + 0.2 * np.arange(len(slots))
+    task.set_poses(physics, poses)
+
+
+def test_object_that_vanishes_is_masked_and_costs(toys):
+    td = lay_out(toys, [BOX, BALL, CAN], [(-0.1, 0.1), (0.1, 0.1), (0.0, 0.25)])
+    assert td["node_mask"].tolist() == [True] * 3 + [False] * 5
+    away(toys, 1)
+    after = act(toys, td, 0)
+    assert after["node_mask"].tolist() == [True, False, True] + [False] * 5
+    legal = after["action_mask"].view(-1, N_DIRECTIONS)
+    assert legal[0].any() and legal[2].any() and not legal[1].any()
+    assert (after["sdf"][1] == 0).all() and (after["sdf"][[0, 2]] != 0).any()
+    terms = toys.last_step.reward_terms
+    assert (terms["vanished"], terms["none_left"]) == (-0.5, 0.0)
+    # Slot 2 is still slot 2, though its mask is now the second one found.
+    again = act(toys, after, 2 * N_DIRECTIONS)
+    assert toys.last_step.push.status == "done"
+    # It vanished once.
+    assert toys.last_step.reward_terms["vanished"] == 0.0
+    assert again["node_mask"].tolist() == after["node_mask"].tolist()
+
+
+def test_hidden_object_does_not_shift_the_others(toys, monkeypatch):
+    """Slot 0 is covered up, as by an object above it; nothing has left the table."""
+    seen = toys._renderer.geom_ids
+    places = [(-0.1, 0.1), (0.1, 0.1), (0.0, 0.25)]
+    td = lay_out(toys, [BOX, BALL, CAN], places)
+    hidden = toys._task._visuals[BOX]
+    monkeypatch.setattr(toys._renderer, "geom_ids", lambda: np.where(seen() == hidden, -1, seen()))
+    poses = toys._task.poses(toys._environment.physics)
+    td = act(toys, td, 63)  # nothing moves; the picture is taken anew
+    assert toys.last_step.reward_terms["vanished"] == -0.5
+    assert td["node_mask"][:3].tolist() == [False, True, True]
+    assert not td["done"].item()
+    # What cannot be seen cannot be pushed.
+    td = act(toys, td, 0)
+    assert toys.last_step.push.status == "unreachable"
+    np.testing.assert_array_equal(toys.last_step.scene.poses, poses)
+    assert toys.last_step.push.object == 0
+    # The ball is slot 1, and the first mask of the plan.
+    td = act(toys, td, 1 * N_DIRECTIONS + 2)
+    moved = np.linalg.norm((toys.last_step.scene.poses - poses)[:, :2], axis=1)
+    assert moved[1] > 0.04 and max(moved[0], moved[2]) < 1e-3
+    monkeypatch.undo()
+    td = act(toys, td, 63)
+    assert td["node_mask"][:3].tolist() == [True] * 3
+    assert toys.last_step.reward_terms["vanished"] == 0.0
+
+
+def test_nothing_left_ends_the_episode(toys):
+    td = lay_out(toys, [BOX, BALL], [(-0.1, 0.1), (0.1, 0.1)])
+    away(toys, 0, 1)
+    after = act(toys, td, 63)
+    assert after["terminated"].item() and after["done"].item()
+    assert not after["node_mask"].any()
+    assert toys.last_step.reward_terms["none_left"] == -1.0
+    assert toys.last_step.reward_terms["vanished"] == -1.0
+    # A sampler still finds an action to take.
+    assert after["action_mask"].any()
+    assert after["action_mask"][toys.rand_action(after.clone())["action"]]
+    assert (after["sdf"] == 0).all()
+
+
+def test_boxed_in_objects_may_be_tried_in_vain(toys, monkeypatch):
+    monkeypatch.setattr(
+        "sdfgcn.envs.rearrangement.plan_pushes", lambda *arguments: none_legal(*arguments)
+    )
+    td = lay_out(toys, [BOX, BALL], [(-0.1, 0.1), (0.1, 0.1)])
+    assert td["action_mask"].view(-1, N_DIRECTIONS).any(1).tolist() == [True] * 2 + [False] * 6
+
+
+def none_legal(masks, *rest):
+    from sdfgcn.perception.push_start import PushPlan
+
+    m = len(masks)
+    return PushPlan(
+        np.full((m, N_DIRECTIONS, 2), np.nan),
+        np.zeros((m, N_DIRECTIONS)),
+        np.zeros((m, N_DIRECTIONS), dtype=bool),
+    )
+
+
+# ------------------------------------------------------------------ placing
+
+
+def test_episode_starts_where_it_was_drawn_and_lies_still(env_of: Envs):
+    env = env_of("robot=gripper", "n_objects=6")
+    for seed in range(3):
+        episode = draw_episode(seed, env.catalogue, env.config)
+        env.reset_episode(seed)
+        start = env.episode_start.scene.poses
+        # Settling is not moving: the rests are stable.
+        assert np.linalg.norm((start - episode.start)[:, :3], axis=1).max() < 0.003
+        goal = begin(env, episode)["goal_position"][:6]
+        np.testing.assert_allclose(goal, episode.goal[:, :2], atol=1e-6)
+        assert [model.name for model in env.episode_start.objects] == [
+            env.catalogue[i].name for i in episode.objects
+        ]
