@@ -146,6 +146,7 @@ class PerceptionConfig:
 
     name: str = MISSING
     min_pixels: int = MISSING
+    sdf: str = MISSING
 
 
 @dataclass

@@ -30,6 +30,7 @@ LAYERS = (
     ("objects",),
     ("sim",),
     ("perception",),
+    ("graph",),
     ("envs",),
     ("agents",),
     ("evaluate",),

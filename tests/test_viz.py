@@ -18,7 +18,7 @@ from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.sim.camera import CameraModel
 from sdfgcn.sim.types import Push
 from sdfgcn.viz import RECORDERS
-from sdfgcn.viz.geometry import node_slots, vertex_normals, zero_contour
+from sdfgcn.viz.geometry import edge_strips, node_slots, vertex_normals, zero_contour
 
 SIZE = 96
 # 1 m above the table with 90 degrees of view: 48 pixels to the metre, (0, 0) in the middle.
@@ -67,7 +67,8 @@ def scene(positions, order=NODE_ORDER, value=100) -> Scene:
     sdf = np.array([skfmm.distance(0.5 - mask) for mask in masks], dtype=np.float32)
     poses = np.array([[x, y, 0.0, np.sqrt(0.5), 0, 0, np.sqrt(0.5)] for x, y in positions])
     pixels = np.full((SIZE, SIZE, 3), value, dtype=np.uint8)
-    return Scene(pixels, masks, sdf.reshape(-1, SIZE, SIZE), poses)
+    matched = np.array(order, dtype=np.int64)  # the goal's nodes come in slot order
+    return Scene(pixels, masks, sdf.reshape(-1, SIZE, SIZE), poses, matched)
 
 
 def episode_start(seed: int = 7) -> EpisodeStart:
@@ -189,6 +190,7 @@ def test_entities_and_timeline(recording):
         "/world/camera/picture",
         "/world/camera/masks",
         "/world/camera/push",
+        "/world/camera/graph",
         "/world/camera/goal",
         "/goal/picture",
         "/goal/masks",
@@ -207,6 +209,21 @@ def test_entities_and_timeline(recording):
     assert recording.timelines == {"push"}
     assert recording.pushes("/world/camera/picture") == [0, 1, 2]
     assert recording.pushes("/world/push") == [1, 2]
+
+
+def test_edges_of_the_graph(recording):
+    strips = np.array(recording["/world/camera/graph", "LineStrips2D:strips"][1])
+    # Each edge from the lower node to the higher one; slot 0 (node 1) reached its goal at push 1.
+    slots = np.array([[36, 48], [48, 24], [72, 72]])  # projected centres of the slots
+    goals = np.array([[36, 48], [48, 36], [72, 24]])
+    expected = [
+        *([slots[2], slots[0]], [slots[2], slots[1]], [slots[2], goals[2]]),
+        *([slots[0], slots[1]], [slots[0], goals[0]], [slots[1], goals[1]]),
+    ]
+    np.testing.assert_allclose(strips, expected)
+    colors = recording["/world/camera/graph", "LineStrips2D:colors"][1]
+    white, grey = 0xFFFFFFFF, 0xA0A0A0FF
+    assert colors == [grey, grey, white, grey, white, white]
 
 
 def test_arrow_is_the_projected_push(recording):
@@ -386,6 +403,18 @@ def test_vertex_normals_of_a_cube():
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1, rtol=1e-5)
     lone = vertex_normals(np.zeros((1, 3)), np.zeros((0, 3), dtype=int))
     np.testing.assert_array_equal(lone, [[0, 0, 0]])
+
+
+def test_edges_leave_out_hidden_and_unmatched_nodes():
+    goal = scene(GOAL, order=[0, 1, 2])
+    goal.masks[1] = False  # hidden in the goal
+    current = replace(scene(START, order=[0, 1, 2]), correspondence=np.array([-1, 1, 2]))
+    current.masks[0] = False
+    strips, to_goal = edge_strips(current, goal)
+    np.testing.assert_allclose(strips, [[[48, 24], [72, 72]], [[72, 72], [72, 24]]])
+    np.testing.assert_array_equal(to_goal, [False, True])
+    nothing, _ = edge_strips(scene(START, order=[]), goal)
+    assert nothing.shape == (0, 2, 2)
 
 
 @pytest.mark.parametrize("order", [[0, 1, 2], [2, 0, 1], [1], []])

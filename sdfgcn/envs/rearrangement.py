@@ -10,15 +10,15 @@ import torch
 from dm_control import composer
 from numpy.typing import NDArray
 from tensordict import TensorDict, TensorDictBase
-from torchrl.data import Binary, Categorical, Composite, Unbounded
+from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
-from sdfgcn.config import N_DIRECTIONS, EnvConfig
+from sdfgcn.config import N_DIRECTIONS, EnvConfig, lookup
 from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.perception.push_start import PushPlan, plan_pushes
-from sdfgcn.perception.sdf import signed_distances
-from sdfgcn.perception.segmentation import detected, oracle_masks
+from sdfgcn.perception.sdf import SDF_METHODS, signed_distances
+from sdfgcn.perception.segmentation import detected, oracle_correspondence, oracle_masks
 from sdfgcn.sim.arena import camera_model
 from sdfgcn.sim.episode import Episode, draw_episode
 from sdfgcn.sim.renderer import Renderer
@@ -35,6 +35,8 @@ class RearrangementEnv(EnvBase):
     Observation:
         `sdf`, `goal_sdf`: float32 [N, H, W], pixels, negative inside.
         `node_mask`, `goal_node_mask`: bool [N], which rows hold a detected object.
+        `correspondence`: int64 [N], for each row the goal's row it is matched with, -1 for none.
+        `center`, `goal_center`: float32 [N, 2], detected centres on the table, metres.
         `position`, `goal_position`: float32 [N, 2], true centres, metres.
         `action_mask`: bool [N * 8], which actions are legal; never all false.
         `pushes`: int64 [1], pushes so far in the episode.
@@ -53,8 +55,9 @@ class RearrangementEnv(EnvBase):
             seed: Seed of the episodes' seeds; drawn by torch if None.
 
         Raises:
-            SdfgcnError: The catalogue cannot be had.
+            SdfgcnError: The catalogue cannot be had, or `perception.sdf` names no method.
         """
+        lookup(SDF_METHODS, "env.perception.sdf", config.perception.sdf)
         super().__init__(device=torch.device("cpu"), batch_size=[])
         self.config = config
         self.catalogue = load_catalogue(config.objects, config.split)
@@ -80,6 +83,9 @@ class RearrangementEnv(EnvBase):
             "goal_sdf": Unbounded((n, size, size), dtype=torch.float32),
             "node_mask": Binary(shape=(n,), dtype=torch.bool),
             "goal_node_mask": Binary(shape=(n,), dtype=torch.bool),
+            "correspondence": Bounded(-1, n - 1, (n,), dtype=torch.int64),
+            "center": Unbounded((n, 2), dtype=torch.float32),
+            "goal_center": Unbounded((n, 2), dtype=torch.float32),
             "position": Unbounded((n, 2), dtype=torch.float32),
             "goal_position": Unbounded((n, 2), dtype=torch.float32),
             "action_mask": Binary(shape=(n * N_DIRECTIONS,), dtype=torch.bool),
@@ -123,9 +129,9 @@ class RearrangementEnv(EnvBase):
             self._renderer = Renderer(physics, self.config.arena.image_size)
         settled = self._task.poses(physics)
         self._task.set_poses(physics, episode.goal)
-        goal, self._goal_found, _ = self._look()
+        goal, self._goal_found, self._goal_plan = self._look()
         self._task.set_poses(physics, settled)
-        scene, self._found, self._plan = self._look()
+        scene, self._found, self._plan = self._look(self._goal_found)
         self._goal, self._scene = goal, scene
         self._pushes = 0
         self._update_mask()
@@ -145,7 +151,7 @@ class RearrangementEnv(EnvBase):
         found_before = self._found
         push = self._execute(*divmod(action, N_DIRECTIONS))
         self._pushes += 1
-        self._scene, self._found, self._plan = self._look()
+        self._scene, self._found, self._plan = self._look(self._goal_found)
         vanished = int((found_before & ~self._found).sum())
         none_left = not self._found.any()
         terms = task.reward_terms(physics, vanished=vanished, none_left=none_left)
@@ -193,7 +199,7 @@ class RearrangementEnv(EnvBase):
         """
         self._begin(state["episode"])
         self._task.resume(self._environment.physics, state["poses"])
-        self._scene, self._found, self._plan = self._look()
+        self._scene, self._found, self._plan = self._look(self._goal_found)
         self._pushes = state["pushes"]
         self._rng.bit_generator.state = state["rng"]
         self._update_mask()
@@ -204,8 +210,14 @@ class RearrangementEnv(EnvBase):
 
     # ------------------------------------------------------------------ looking and pushing
 
-    def _look(self) -> tuple[Scene, NDArray[np.bool_], PushPlan]:
-        """Take a picture: the scene, which slots are detected, and the pushes it offers."""
+    def _look(
+        self, goal_found: NDArray[np.bool_] | None = None
+    ) -> tuple[Scene, NDArray[np.bool_], PushPlan]:
+        """Take a picture: the scene, which slots are detected, and the pushes it offers.
+
+        Args:
+            goal_found: [n] which slots the goal shows; None while the goal itself is looked at.
+        """
         assert self._renderer is not None
         task = self._task
         masks = oracle_masks(
@@ -213,13 +225,16 @@ class RearrangementEnv(EnvBase):
         )
         found = detected(masks, self.config.perception.min_pixels)
         masks &= found[:, None, None]
-        sdf = signed_distances(masks)
+        sdf = signed_distances(masks, self.config.perception.sdf)
         sdf[~found] = 0.0
         scene = Scene(
             pixels=self._renderer.pixels() if self.record or self.config.pixels else None,
             masks=masks,
             sdf=sdf,
             poses=task.poses(self._environment.physics),
+            correspondence=(
+                None if goal_found is None else oracle_correspondence(found, goal_found)
+            ),
         )
         plan = plan_pushes(
             masks[found], sdf[found], self.camera, self.config.push, self.config.arena
@@ -236,11 +251,15 @@ class RearrangementEnv(EnvBase):
 
     def _observation(self, success: bool = False, out_of_range: bool = False) -> TensorDict:
         n = self.config.max_objects
+        assert self._scene.correspondence is not None, "only the goal has none"
         values: dict[str, Any] = {
             "sdf": _padded(self._scene.sdf, n),
             "goal_sdf": _padded(self._goal.sdf, n),
             "node_mask": _padded(self._found, n),
             "goal_node_mask": _padded(self._goal_found, n),
+            "correspondence": _padded(self._scene.correspondence, n, fill=-1),
+            "center": _padded(_by_slot(self._plan.center, self._found), n),
+            "goal_center": _padded(_by_slot(self._goal_plan.center, self._goal_found), n),
             "position": _padded(self._scene.poses[:, :2].astype(np.float32), n),
             "goal_position": _padded(self._task.episode.goal[:, :2].astype(np.float32), n),
             "action_mask": self._action_mask,
@@ -272,8 +291,15 @@ class RearrangementEnv(EnvBase):
         super().close(raise_if_closed=raise_if_closed)
 
 
-def _padded(rows: NDArray, n: int) -> torch.Tensor:
-    """The rows as a tensor, followed by zeros up to n rows."""
-    padded = np.zeros((n, *rows.shape[1:]), dtype=rows.dtype)
+def _by_slot(rows: NDArray[np.float64], found: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """One row per slot from one per detected slot; zero where a slot is not detected."""
+    spread = np.zeros((len(found), *rows.shape[1:]), dtype=np.float32)
+    spread[found] = rows
+    return spread
+
+
+def _padded(rows: NDArray, n: int, fill: int = 0) -> torch.Tensor:
+    """The rows as a tensor, followed by rows of `fill` up to n."""
+    padded = np.full((n, *rows.shape[1:]), fill, dtype=rows.dtype)
     padded[: len(rows)] = rows
     return torch.from_numpy(padded)

@@ -28,12 +28,15 @@ class Scene:
         masks: bool [m, H, W] one mask per node.
         sdf: float32 [m, H, W] signed distance to the mask's edge, pixels, negative inside.
         poses: float64 [n, 7] true poses in slot order: xyz in metres, quaternion w, x, y, z.
+        correspondence: int64 [m] for each node the goal's node it is matched with, -1 for none;
+            None for the goal itself.
     """
 
     pixels: NDArray[np.uint8] | None
     masks: NDArray[np.bool_]
     sdf: NDArray[np.float32]
     poses: NDArray[np.float64]
+    correspondence: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)

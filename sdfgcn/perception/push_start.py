@@ -26,11 +26,13 @@ class PushPlan:
     """Every push that the picture offers, for m nodes and 8 directions.
 
     Attributes:
+        center: [m, 2] the centre of each mask on the table, metres.
         start: [m, 8, 2] where the tool comes down, metres; NaN where the push is not legal.
         free: [m, 8] distance from there to the first surface ahead, metres.
         legal: [m, 8] whether free space was found within the tool's bounds.
     """
 
+    center: NDArray[np.float64]
     start: NDArray[np.float64]
     free: NDArray[np.float64]
     legal: NDArray[np.bool_]
@@ -74,7 +76,8 @@ def plan_pushes(
     m = len(masks)
     if m == 0:
         empty = np.zeros((0, N_DIRECTIONS))
-        return PushPlan(np.zeros((0, N_DIRECTIONS, 2)), empty, empty.astype(bool))
+        starts = np.zeros((0, N_DIRECTIONS, 2))
+        return PushPlan(np.zeros((0, 2)), starts, empty, empty.astype(bool))
     directions = np.stack([direction_vector(k) for k in range(N_DIRECTIONS)])
     back = np.arange(0.0, MAX_WALK, config.walk)
     center = centers(masks, camera, config.plane_height)
@@ -104,7 +107,7 @@ def plan_pushes(
     occupied = (union <= 0.0) & (step < first[..., None])
     surface = np.max(np.where(occupied, step, 0), axis=-1)
     free = (first - surface) * config.walk
-    return PushPlan(start=start, free=free, legal=legal)
+    return PushPlan(center=center, start=start, free=free, legal=legal)
 
 
 def _sample(field: NDArray, pixels: NDArray, outside: float) -> NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""From a picture to object masks."""
+"""From a picture to object masks, and which of two pictures' masks belong together."""
 
 from __future__ import annotations
 
@@ -24,3 +24,18 @@ def oracle_masks(geom_ids: NDArray[np.int64], slot_of_geom: NDArray, n: int) -> 
 def detected(masks: NDArray[np.bool_], min_pixels: int) -> NDArray[np.bool_]:
     """[n] whether each of the [n, H, W] masks is large enough to count as a detection."""
     return masks.sum(axis=(1, 2)) >= min_pixels
+
+
+def oracle_correspondence(
+    found: NDArray[np.bool_], goal_found: NDArray[np.bool_]
+) -> NDArray[np.int64]:
+    """Match by identity: a slot is the same object in both pictures.
+
+    Args:
+        found: [n] which slots are detected in the current picture.
+        goal_found: [n] which slots are detected in the goal picture.
+
+    Returns:
+        [n] for each current node the goal node it is matched with, -1 where either is missing.
+    """
+    return np.where(found & goal_found, np.arange(len(found)), -1)

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import contourpy
 import numpy as np
+import torch
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from sdfgcn.envs.types import Scene
+from sdfgcn.graph import adjacency_matrix
 from sdfgcn.sim.camera import CameraModel
 
 _FAR = 1e6  # a cost that loses against any real one
@@ -76,6 +78,26 @@ def node_slots(scene: Scene, radii: NDArray[np.float64], camera: CameraModel) ->
         if costs[node, slot] <= 1.0:
             slots[node] = slot
     return slots
+
+
+def edge_strips(scene: Scene, goal: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """The scene graph's edges at the current nodes, as lines in the picture.
+
+    Args:
+        scene: The current scene's m nodes; without a correspondence nothing is matched.
+        goal: The goal's nodes.
+
+    Returns:
+        [E, 2, 2] the ends of each edge: column and row of the centres of the nodes' masks,
+        pixels; and [E] whether the edge leads to the goal's node.
+    """
+    m = len(scene.masks)
+    matched = np.full(m, -1) if scene.correspondence is None else scene.correspondence
+    seen, goal_seen = (torch.from_numpy(s.masks.any(axis=(1, 2))) for s in (scene, goal))
+    edges = adjacency_matrix(seen, goal_seen, torch.from_numpy(matched), "complete")
+    ends = np.argwhere(np.triu(edges.numpy())[:m])
+    centres = np.array([_mask_centre(mask) for s in (scene, goal) for mask in s.masks])
+    return centres.reshape(-1, 2)[ends], ends[:, 1] >= m
 
 
 def _mask_centre(mask: NDArray[np.bool_]) -> NDArray[np.float64]:

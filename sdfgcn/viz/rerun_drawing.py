@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from sdfgcn.config import ArenaConfig
+from sdfgcn.envs.types import Scene
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.sim.camera import CameraModel
 from sdfgcn.sim.types import PushStatus
-from sdfgcn.viz.geometry import vertex_normals
+from sdfgcn.viz.geometry import edge_strips, vertex_normals
 
 TIMELINE = "push"
 
@@ -33,6 +34,8 @@ _PALETTE: tuple[Color, ...] = (
     (153, 153, 153),
 )
 UNMATCHED_COLOR: Color = (255, 0, 255)
+EDGE_COLOR: Color = (160, 160, 160)  # between objects of one picture
+MATCH_COLOR: Color = (255, 255, 255)  # from an object to its goal
 STATUS_COLORS: dict[PushStatus, Color] = {
     "done": (40, 200, 80),
     "blocked": (230, 50, 50),
@@ -77,6 +80,13 @@ def arrow_2d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows2D:
         show_labels=status != "done",  # the colour says it, and a word covers objects
         draw_order=30,
     )
+
+
+def edges_2d(scene: Scene, goal: Scene) -> rr.LineStrips2D:
+    """The scene graph's edges in the current picture: among its objects, and to their goals."""
+    strips, to_goal = edge_strips(scene, goal)
+    colors = np.where(to_goal[:, None], MATCH_COLOR, EDGE_COLOR)
+    return rr.LineStrips2D(list(strips), colors=colors.astype(np.uint8), radii=0.15, draw_order=15)
 
 
 def arrow_3d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows3D:

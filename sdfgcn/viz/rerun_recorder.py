@@ -7,6 +7,7 @@ after it. Entities, where i is an object's slot:
     world/push                         the push as an arrow, coloured by its status
     world/table, world/bounds/*        the regions on the table
     world/camera                       pinhole, with picture, masks, push and goal outlines below
+    world/camera/graph                 the scene graph's edges, among objects and to their goals
     goal/picture, goal/masks           the goal picture
     sdf/scene/i, sdf/goal/i            signed distances in pixels, with the zero contour below
     distance/i, distance/threshold     metres to the goal, and the threshold of success
@@ -41,6 +42,7 @@ from sdfgcn.viz.rerun_drawing import (
     arrow_2d,
     arrow_3d,
     blueprint,
+    edges_2d,
     mesh,
     pinhole,
     png,
@@ -210,6 +212,7 @@ class RerunRecorder(Recorder):
         """The picture, the masks, the poses, and the SDFs that changed."""
         slots = node_slots(scene, self._radii, self._episode.camera)
         self._log_picture("world/camera", scene, slots)
+        self._log("world/camera/graph", edges_2d(scene, self._episode.goal))
         for slot, pose in enumerate(scene.poses):
             self._log(f"world/objects/{slot}", transform(pose))
         seen = {int(slot): scene.sdf[node].copy() for node, slot in enumerate(slots) if slot >= 0}
