@@ -276,6 +276,12 @@ def validate(config: Config) -> None:
     for key, split in (("eval.split", config.eval.split), ("env.split", env.split)):
         if split not in SPLITS:
             raise SdfgcnError(f"{key} is '{split}', but must be one of {', '.join(SPLITS)}.")
+    ticks = env.push.control_timestep / env.physics.timestep
+    if not (ticks >= 0.5 and abs(ticks - round(ticks)) < 1e-6):
+        raise SdfgcnError(
+            f"env.push.control_timestep is {env.push.control_timestep}, but must be a multiple of "
+            f"env.physics.timestep ({env.physics.timestep})."
+        )
     if env.split != config.eval.split:
         raise SdfgcnError(
             f"env.split is '{env.split}' while eval.split is '{config.eval.split}': set eval.split "

@@ -33,12 +33,12 @@ def asleep(env: RearrangementEnv) -> np.ndarray:
 @pytest.mark.parametrize("n", range(2, 7))
 def test_random_pushes(env_of: Envs, robot, n):
     env = env_of(f"robot={robot}", "n_objects=3")
-    task, physics = env._task, env._environment.physics
-    config, rng = replace(env.config, n_objects=n), np.random.default_rng(n)
+    task, config, rng = env._task, replace(env.config, n_objects=n), np.random.default_rng(n)
     touched = 0
     for i in range(PUSHES[robot]):
         if i % 4 == 0:
             td = begin(env, draw_episode(int(rng.integers(2**31)), env.catalogue, config))
+            physics = env._environment.physics
             poses = task.poses(physics)
         td = act(env, td, int(rng.choice(np.flatnonzero(td["action_mask"].numpy()))))
         after = env.last_step.scene.poses

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from configs import real_config
 from scipy.spatial.transform import Rotation
-from shapely import MultiPoint, Point
+from shapely import MultiPoint, Point, box
 from shapely.affinity import translate
 
 from sdfgcn.config import EnvConfig
@@ -17,7 +17,9 @@ from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.sim.episode import Episode, draw_episode
-from sdfgcn.sim.scenarios import SCENARIOS
+from sdfgcn.sim.placement import NoRoom
+from sdfgcn.sim.scenarios import SCENARIOS, Situation
+from sdfgcn.sim.scenarios.swap import Swap
 
 SEEDS = range(4)
 COUNTS = [(name, n) for name, kind in SCENARIOS.items() for n in range(kind.least_objects, 7)]
@@ -160,8 +162,28 @@ def test_swap_exchanges_exactly_two(draws, n):
         moved = np.flatnonzero((start != goal).any(axis=1))
         assert len(moved) == 2
         np.testing.assert_array_equal(goal[moved], start[moved[::-1]])
+        np.testing.assert_array_equal(episode.goal[:, 3:], episode.start[:, 3:])
         pairs.add(tuple(moved))
     assert n == 2 or len(pairs) > 1
+
+
+def test_swap_gives_up_where_the_larger_one_does_not_fit():
+    """A plate of 20 cm takes the place of a cube of 4 cm, between two others."""
+    plate, cube = box(-0.1, -0.1, 0.1, 0.1), box(-0.02, -0.02, 0.02, 0.02)
+    shapes, env = (plate, cube, cube, cube), config("swap", 4)
+    situation = Situation(start=shapes, goal=shapes, categories=("any",) * 4)
+    refused = 0
+    for seed in range(40):
+        try:
+            layout = Swap(env.scenario, env.arena).draw(np.random.default_rng(seed), situation)
+        except NoRoom:
+            refused += 1
+            continue
+        for points in (layout.start, layout.goal):
+            placed = [translate(shape, *xy) for shape, xy in zip(shapes, points, strict=True)]
+            for one, other in itertools.combinations(placed, 2):
+                assert one.distance(other) >= 0.01 - 1e-9
+    assert 0 < refused < 40
 
 
 @pytest.mark.parametrize("n", range(3, 7))
@@ -216,8 +238,6 @@ def test_random_goal_is_no_copy_of_the_start(draws):
 
 
 def test_goal_radii_reach_the_furthest_corner():
-    from sdfgcn.sim.scenarios import Situation
-
     shapes = (MultiPoint([(0.03, 0.04), (-0.01, 0.0), (0.0, -0.02)]).convex_hull,)
     situation = Situation(start=shapes, goal=shapes, categories=("any",))
     np.testing.assert_allclose(situation.goal_radii, [0.05])

@@ -237,18 +237,29 @@ def test_hidden_object_does_not_shift_the_others(toys, monkeypatch):
     assert toys.last_step.reward_terms["vanished"] == 0.0
 
 
-def test_nothing_left_ends_the_episode(toys):
+def test_nothing_left_ends_the_episode(toys, monkeypatch):
+    """Everything is covered up, but nothing has left the table."""
+    td = lay_out(toys, [BOX, BALL], [(-0.1, 0.1), (0.1, 0.1)])
+    with monkeypatch.context() as patch:
+        patch.setattr(toys._renderer, "geom_ids", lambda: np.full((96, 96), -1))
+        after = act(toys, td, 63)
+        assert after["terminated"].item() and after["done"].item()
+        assert not after["out_of_range"].item()
+        assert not after["node_mask"].any() and (after["sdf"] == 0).all()
+        assert toys.last_step.reward_terms["none_left"] == -1.0
+        assert toys.last_step.reward_terms["vanished"] == -1.0
+        # A sampler still finds an action to take.
+        assert after["action_mask"].any()
+        assert after["action_mask"][toys.rand_action(after.clone())["action"]]
+
+
+def test_everything_swept_off_the_table(toys):
     td = lay_out(toys, [BOX, BALL], [(-0.1, 0.1), (0.1, 0.1)])
     away(toys, 0, 1)
     after = act(toys, td, 63)
-    assert after["terminated"].item() and after["done"].item()
+    assert after["out_of_range"].item() and after["terminated"].item()
     assert not after["node_mask"].any()
-    assert toys.last_step.reward_terms["none_left"] == -1.0
-    assert toys.last_step.reward_terms["vanished"] == -1.0
-    # A sampler still finds an action to take.
-    assert after["action_mask"].any()
-    assert after["action_mask"][toys.rand_action(after.clone())["action"]]
-    assert (after["sdf"] == 0).all()
+    assert toys.last_step.reward_terms["out_of_range"] == -2.0
 
 
 def test_boxed_in_objects_may_be_tried_in_vain(toys, monkeypatch):
