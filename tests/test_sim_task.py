@@ -275,6 +275,7 @@ def none_legal(masks, *rest):
 
     m = len(masks)
     return PushPlan(
+        np.zeros((m, 2)),
         np.full((m, N_DIRECTIONS, 2), np.nan),
         np.zeros((m, N_DIRECTIONS)),
         np.zeros((m, N_DIRECTIONS), dtype=bool),
