@@ -14,10 +14,11 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from sdfgcn.cli import run_plainly
-from sdfgcn.config import register_schema, typed
+from sdfgcn.config import register_schema
 from sdfgcn.experiment import run_experiment
 from sdfgcn.results import table
 from sdfgcn.runs import RunFolder
+from sdfgcn.validation import typed
 
 register_schema()
 

@@ -9,8 +9,9 @@ from typing import Any
 
 from hydra import compose, initialize_config_dir
 
-from sdfgcn.config import Config, register_schema, typed
+from sdfgcn.config import Config, register_schema
 from sdfgcn.files import write_json
+from sdfgcn.validation import typed
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "experiments" / "results"

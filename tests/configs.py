@@ -6,7 +6,8 @@ from pathlib import Path
 from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
-from sdfgcn.config import Config, register_schema, typed
+from sdfgcn.config import Config, register_schema
+from sdfgcn.validation import typed
 
 CONF = Path(__file__).parents[1] / "conf"
 

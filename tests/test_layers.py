@@ -24,6 +24,7 @@ FILES = sorted((ROOT / "sdfgcn").rglob("*.py"))
 LAYERS = (
     ("errors",),
     ("config",),
+    ("validation",),
     ("files", "opengl", "paper"),
     ("episodes", "loggers"),
     ("runs",),

@@ -11,12 +11,13 @@ from pathlib import Path
 
 from tqdm import tqdm
 
-from sdfgcn.config import SPLITS, ObjectsConfig, lookup, validate_objects
+from sdfgcn.config import SPLITS, ObjectsConfig, lookup
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects import household, scanned, shapenet
 from sdfgcn.objects.model import ObjectModel, Recipe
 from sdfgcn.objects.prepare import prepare
 from sdfgcn.objects.storage import cache_dir, read_models, write_models
+from sdfgcn.validation import validate_objects
 
 FORMAT = 3  # raise it whenever the same settings would now give other objects
 _NOT_IN_KEY = ("palette", "root", "split_file")  # these do not change what is cached, or see below

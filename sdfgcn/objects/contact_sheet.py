@@ -21,10 +21,11 @@ from omegaconf.errors import OmegaConfBaseException
 from PIL import Image, ImageDraw
 from tqdm import tqdm
 
-from sdfgcn.config import SPLITS, ObjectsConfig, register_schema, typed
+from sdfgcn.config import SPLITS, ObjectsConfig, register_schema
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.objects.model import ObjectModel
+from sdfgcn.validation import typed
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 TILE = 200  # pixels, side of one object's picture
