@@ -119,11 +119,10 @@ class PushConfig:
     speed: float = MISSING
     descent_speed: float = MISSING
     brake: float = MISSING
-    hold: float = MISSING
+    retreat: float = MISSING
     lift_speed: float = MISSING
     control_timestep: float = MISSING
     knot: float = MISSING
-    blocked_force: float = MISSING
     plane_height: float = MISSING
 
 

@@ -8,9 +8,10 @@ from configs import real_config
 from scipy.ndimage import distance_transform_edt
 
 from sdfgcn.config import N_DIRECTIONS, ArenaConfig, PushConfig
-from sdfgcn.perception.push_start import PushPlan, centers, plan_pushes
+from sdfgcn.perception.oracle import oracle_masks
+from sdfgcn.perception.perception import detected
+from sdfgcn.perception.push_start import PushPlan, PushPlanner, centers
 from sdfgcn.perception.sdf import signed_distance, signed_distances
-from sdfgcn.perception.segmentation import detected, oracle_masks
 from sdfgcn.sim.camera import CameraModel
 from sdfgcn.sim.push import direction_vector
 
@@ -132,7 +133,7 @@ def camera() -> CameraModel:
 
 def plan(masks: list[np.ndarray], push: PushConfig, arena: ArenaConfig) -> PushPlan:
     stack = np.stack(masks)
-    return plan_pushes(stack, signed_distances(stack), camera(), push, arena)
+    return PushPlanner(camera(), push, arena).plan(stack, signed_distances(stack))
 
 
 MIDDLE = rectangle((40, 56), (40, 56))  # 8 cm square around the origin
@@ -225,7 +226,8 @@ def test_ring_is_pushed_from_outside(push, arena):
 
 def test_nothing_detected_offers_nothing(push, arena):
     empty = np.zeros((0, SIZE, SIZE))
-    offered = plan_pushes(empty.astype(bool), empty.astype(np.float32), camera(), push, arena)
+    planner = PushPlanner(camera(), push, arena)
+    offered = planner.plan(empty.astype(bool), empty.astype(np.float32))
     assert offered.start.shape == (0, 8, 2)
     assert offered.legal.shape == offered.free.shape == (0, 8)
     assert offered.legal.dtype == bool

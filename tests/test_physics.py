@@ -64,14 +64,16 @@ def test_random_pushes(env_of: Envs, robot, n):
 def test_props_are_awake_while_pushed_and_asleep_after(toys_of: Envs):
     env = toys_of("gripper")
     lay_out(env, [BOX, BALL], [(-0.1, 0.1), (0.1, 0.1)])
-    simulate(env, 0.004)
+    physics = env._environment.physics
+    # What does not lie still does not fall asleep.
+    physics.data.qvel[env._task._qvel[[BOX, BALL], 0]] = 0.1
+    simulate(env, 0.005)
     assert not asleep(env)[[BOX, BALL]].any()
-    simulate(env, 0.3)
+    simulate(env, 0.5)
     assert asleep(env).all()
     # A nudge wakes one and not the other.
-    physics = env._environment.physics
     physics.data.qvel[env._task._qvel[BOX][0]] = 0.1
-    simulate(env, 0.008)
+    simulate(env, 0.01)
     assert asleep(env)[BALL] and not asleep(env)[BOX]
 
 

@@ -117,6 +117,7 @@ def test_props_have_the_episodes_colours(toys):
 def test_parked_props_touch_nothing_and_sleep(toys):
     lay_out(toys, [BOX], [(0.0, 0.1)])
     physics, task = toys._environment.physics, toys._task
+    physics.data.qvel[task._qvel[BOX, 0]] = 0.1
     mujoco.mj_step(physics.model.ptr, physics.data.ptr, 1)
     trees = physics.model.body_treeid[task._bodies]
     asleep = physics.data.tree_asleep[trees] >= 0
@@ -264,7 +265,7 @@ def test_everything_swept_off_the_table(toys):
 
 def test_boxed_in_objects_may_be_tried_in_vain(toys, monkeypatch):
     monkeypatch.setattr(
-        "sdfgcn.envs.rearrangement.plan_pushes", lambda *arguments: none_legal(*arguments)
+        toys._planner, "plan", lambda *arguments: none_legal(*arguments), raising=True
     )
     td = lay_out(toys, [BOX, BALL], [(-0.1, 0.1), (0.1, 0.1)])
     assert td["action_mask"].view(-1, N_DIRECTIONS).any(1).tolist() == [True] * 2 + [False] * 6

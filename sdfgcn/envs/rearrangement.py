@@ -14,11 +14,13 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from sdfgcn.config import N_DIRECTIONS, EnvConfig, lookup
+from sdfgcn.envs.observation import View, by_row, nearest_objects, padded
 from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
 from sdfgcn.objects.catalogue import load_catalogue
-from sdfgcn.perception.push_start import PushPlan, plan_pushes
+from sdfgcn.perception.perception import detected
+from sdfgcn.perception.perceptions import PERCEPTIONS
+from sdfgcn.perception.push_start import PushPlanner
 from sdfgcn.perception.sdf import SDF_METHODS, signed_distances
-from sdfgcn.perception.segmentation import detected, oracle_correspondence, oracle_masks
 from sdfgcn.sim.arena import camera_model
 from sdfgcn.sim.episode import Episode, draw_episode
 from sdfgcn.sim.renderer import Renderer
@@ -29,15 +31,15 @@ from sdfgcn.sim.types import Push, PushCommand
 class RearrangementEnv(EnvBase):
     """Push objects into the goal arrangement (paper section IV).
 
-    One step is one push. N is `max_objects`, H and W the picture's size. Rows of slots that hold
-    no object, and of objects that are not detected, are zero.
+    One step is one push. N is `max_objects`, H and W the picture's size. Each row is a node: a
+    place for one detected object, the same from push to push. Rows without one are zero.
 
     Observation:
         `sdf`, `goal_sdf`: float32 [N, H, W], pixels, negative inside.
         `node_mask`, `goal_node_mask`: bool [N], which rows hold a detected object.
         `correspondence`: int64 [N], for each row the goal's row it is matched with, -1 for none.
         `center`, `goal_center`: float32 [N, 2], detected centres on the table, metres.
-        `position`, `goal_position`: float32 [N, 2], true centres, metres.
+        `position`, `goal_position`: float32 [N, 2], true centres of what the rows show, metres.
         `action_mask`: bool [N * 8], which actions are legal; never all false.
         `pushes`: int64 [1], pushes so far in the episode.
         `success`, `out_of_range`: bool [1].
@@ -55,13 +57,18 @@ class RearrangementEnv(EnvBase):
             seed: Seed of the episodes' seeds; drawn by torch if None.
 
         Raises:
-            SdfgcnError: The catalogue cannot be had, or `perception.sdf` names no method.
+            SdfgcnError: The catalogue or the perception's weights cannot be had, or the config
+                names no such perception or SDF method.
         """
         lookup(SDF_METHODS, "env.perception.sdf", config.perception.sdf)
+        perception = lookup(PERCEPTIONS, "env.perception.name", config.perception.name)
         super().__init__(device=torch.device("cpu"), batch_size=[])
         self.config = config
+        self.n_objects = config.n_objects  # of the next episode; may be set, 1 to max_objects
+        self._perception = perception(config.perception, config.max_objects)
         self.catalogue = load_catalogue(config.objects, config.split)
         self.camera = camera_model(config.arena)
+        self._planner = PushPlanner(self.camera, config.push, config.arena)
         self.record = False  # whether episode_start and last_step hold RGB pictures
         self._task = RearrangementTask(config, self.catalogue)
         self._environment = composer.Environment(
@@ -98,6 +105,7 @@ class RearrangementEnv(EnvBase):
                 observation[key] = Unbounded((size, size, 3), dtype=torch.uint8)
         self.observation_spec = Composite(observation)
         self.action_spec = Categorical(n * N_DIRECTIONS, shape=(), dtype=torch.int64)
+        self._action_leaf = self.action_spec  # to look it up takes a third of a millisecond
         self.reward_spec = Unbounded((1,), dtype=torch.float32)
         flags = ("done", "terminated", "truncated")
         self.done_spec = Composite({key: Binary(shape=(1,), dtype=torch.bool) for key in flags})
@@ -117,7 +125,8 @@ class RearrangementEnv(EnvBase):
         if seed is None:
             seed = int(self._rng.integers(2**31))
         self._episode_seed = None
-        self._begin(draw_episode(seed, self.catalogue, self.config))
+        config = replace(self.config, n_objects=self.n_objects)
+        self._begin(draw_episode(seed, self.catalogue, config))
         return self._observation()
 
     def _begin(self, episode: Episode) -> None:
@@ -129,10 +138,9 @@ class RearrangementEnv(EnvBase):
             self._renderer = Renderer(physics, self.config.arena.image_size)
         settled = self._task.poses(physics)
         self._task.set_poses(physics, episode.goal)
-        goal, self._goal_found, self._goal_plan = self._look()
+        self._goal_observation = self._look_at_goal()
         self._task.set_poses(physics, settled)
-        scene, self._found, self._plan = self._look(self._goal_found)
-        self._goal, self._scene = goal, scene
+        self._look()
         self._pushes = 0
         self._update_mask()
         self.last_step = None
@@ -140,22 +148,22 @@ class RearrangementEnv(EnvBase):
             seed=episode.seed,
             objects=tuple(self.catalogue[i] for i in episode.objects),
             colors=episode.colors,
-            scene=scene,
-            goal=goal,
+            scene=self._scene,
+            goal=self._goal,
             camera=self.camera,
         )
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = int(tensordict["action"])
-        task, physics = self._task, self._environment.physics
+        task = self._task
         found_before = self._found
         push = self._execute(*divmod(action, N_DIRECTIONS))
         self._pushes += 1
-        self._scene, self._found, self._plan = self._look(self._goal_found)
-        vanished = int((found_before & ~self._found).sum())
+        self._look()
+        vanished = max(0, int(found_before.sum()) - int(self._found.sum()))
         none_left = not self._found.any()
-        terms = task.reward_terms(physics, vanished=vanished, none_left=none_left)
-        success, out_of_range = task.success(physics), task.out_of_range(physics)
+        terms = task.reward_terms(vanished=vanished, none_left=none_left)
+        success, out_of_range = task.success, task.out_of_range
         terminated = success or out_of_range or none_left
         limit = self.config.pushes_per_object * len(task.episode.objects)
         truncated = not terminated and self._pushes >= limit
@@ -164,7 +172,7 @@ class RearrangementEnv(EnvBase):
             index=self._pushes,
             push=push,
             scene=self._scene,
-            distances=task.distances(physics),
+            distances=task.distances,
             reward_terms=terms,
             reward=sum(terms.values()),
             success=success,
@@ -199,107 +207,108 @@ class RearrangementEnv(EnvBase):
         """
         self._begin(state["episode"])
         self._task.resume(self._environment.physics, state["poses"])
-        self._scene, self._found, self._plan = self._look(self._goal_found)
+        self._look()
         self._pushes = state["pushes"]
         self._rng.bit_generator.state = state["rng"]
         self._update_mask()
-        physics = self._environment.physics
-        return self._observation(
-            success=self._task.success(physics), out_of_range=self._task.out_of_range(physics)
-        )
+        return self._observation(success=self._task.success, out_of_range=self._task.out_of_range)
 
     # ------------------------------------------------------------------ looking and pushing
 
-    def _look(
-        self, goal_found: NDArray[np.bool_] | None = None
-    ) -> tuple[Scene, NDArray[np.bool_], PushPlan]:
-        """Take a picture: the scene, which slots are detected, and the pushes it offers.
+    def _look_at_goal(self) -> dict[str, torch.Tensor]:
+        """Take the goal's picture. Returns its part of the observation, the episode through."""
+        assert self._renderer is not None, "the first reset makes it"
+        view = View(self._renderer, self._task)
+        self._goal, found = self._scene_of(self._perception.see_goal(view), view)
+        center = self._planner.centers(self._goal.masks[found])
+        position = self._true_positions(center, self._task.episode.goal, found)
+        n = self.config.max_objects
+        values = {
+            "goal_sdf": padded(self._goal.sdf, n),
+            "goal_node_mask": padded(found, n),
+            "goal_center": padded(by_row(center, found), n),
+            "goal_position": padded(by_row(position, found), n),
+        }
+        if self._goal.pixels is not None and self.config.pixels:
+            values["goal_pixels"] = torch.from_numpy(self._goal.pixels)
+        return values
 
-        Args:
-            goal_found: [n] which slots the goal shows; None while the goal itself is looked at.
-        """
-        assert self._renderer is not None
-        task = self._task
-        masks = oracle_masks(
-            self._renderer.geom_ids(), task.slot_of_geom, len(task.episode.objects)
-        )
+    def _look(self) -> None:
+        """Take a picture: the scene, which rows show an object, and the pushes it offers."""
+        assert self._renderer is not None, "the first reset makes it"
+        view = View(self._renderer, self._task)
+        masks, correspondence = self._perception.see(view)
+        scene, self._found = self._scene_of(masks, view)
+        # A mask that is too small to count is matched with nothing, and nothing is with it.
+        goal_found = self._goal_observation["goal_node_mask"].numpy()
+        matched = self._found & (correspondence >= 0) & goal_found[correspondence]
+        self._scene = replace(scene, correspondence=np.where(matched, correspondence, -1))
+        self._plan = self._planner.plan(scene.masks[self._found], scene.sdf[self._found])
+
+    def _scene_of(self, masks: NDArray[np.bool_], view: View) -> tuple[Scene, NDArray[np.bool_]]:
+        """The scene that [m, H, W] masks make, and which rows are large enough to count."""
         found = detected(masks, self.config.perception.min_pixels)
-        masks &= found[:, None, None]
+        masks = masks & found[:, None, None]
         sdf = signed_distances(masks, self.config.perception.sdf)
         sdf[~found] = 0.0
         scene = Scene(
-            pixels=self._renderer.pixels() if self.record or self.config.pixels else None,
+            pixels=view.pixels() if self.record or self.config.pixels else None,
             masks=masks,
             sdf=sdf,
-            poses=task.poses(self._environment.physics),
-            correspondence=(
-                None if goal_found is None else oracle_correspondence(found, goal_found)
-            ),
+            poses=self._task.poses(self._environment.physics),
         )
-        plan = plan_pushes(
-            masks[found], sdf[found], self.camera, self.config.push, self.config.arena
-        )
-        return scene, found, plan
+        return scene, found
 
-    def _execute(self, slot: int, direction: int) -> Push:
-        """Push the object in `slot`; where there is no such push, nothing moves."""
+    def _execute(self, row: int, direction: int) -> Push:
+        """Push the object in `row`; where there is no such push, nothing moves."""
         command = PushCommand(start=np.full(2, np.nan), direction=direction, free=0.0)
-        if slot < len(self._found) and self._found[slot]:
-            command = self._plan.command(int(self._found[:slot].sum()), direction)
+        if row < len(self._found) and self._found[row]:
+            command = self._plan.command(int(self._found[:row].sum()), direction)
         self._environment.step(np.array([*command.start, command.direction, command.free]))
-        return replace(self._task.last_push, object=slot)
+        return replace(self._task.last_push, object=row)
 
     def _observation(self, success: bool = False, out_of_range: bool = False) -> TensorDict:
-        n = self.config.max_objects
-        assert self._scene.correspondence is not None, "only the goal has none"
+        n, found, scene = self.config.max_objects, self._found, self._scene
+        assert scene.correspondence is not None, "only the goal has none"
+        position = self._true_positions(self._plan.center, scene.poses, found)
         values: dict[str, Any] = {
-            "sdf": _padded(self._scene.sdf, n),
-            "goal_sdf": _padded(self._goal.sdf, n),
-            "node_mask": _padded(self._found, n),
-            "goal_node_mask": _padded(self._goal_found, n),
-            "correspondence": _padded(self._scene.correspondence, n, fill=-1),
-            "center": _padded(_by_slot(self._plan.center, self._found), n),
-            "goal_center": _padded(_by_slot(self._goal_plan.center, self._goal_found), n),
-            "position": _padded(self._scene.poses[:, :2].astype(np.float32), n),
-            "goal_position": _padded(self._task.episode.goal[:, :2].astype(np.float32), n),
+            "sdf": padded(scene.sdf, n),
+            "node_mask": padded(found, n),
+            "correspondence": padded(scene.correspondence, n, fill=-1),
+            "center": padded(by_row(self._plan.center, found), n),
+            "position": padded(by_row(position, found), n),
             "action_mask": self._action_mask,
             "pushes": torch.tensor([self._pushes]),
             "success": torch.tensor([success]),
             "out_of_range": torch.tensor([out_of_range]),
+            **self._goal_observation,
         }
         if self.config.pixels:
-            values["pixels"] = torch.from_numpy(self._scene.pixels)
-            values["goal_pixels"] = torch.from_numpy(self._goal.pixels)
+            values["pixels"] = torch.from_numpy(scene.pixels)
         return TensorDict(values, batch_size=[])
+
+    def _true_positions(
+        self, center: NDArray[np.float64], poses: NDArray[np.float64], found: NDArray[np.bool_]
+    ) -> NDArray[np.float64]:
+        """[m, 2] the true centres of what the m detections show, metres."""
+        if self._perception.rows_are_slots:
+            return poses[found, :2]
+        return nearest_objects(center, poses[:, :2])
 
     def _update_mask(self) -> None:
         """Work out which actions are legal, for the observation and for the action spec."""
         mask = np.zeros((self.config.max_objects, N_DIRECTIONS), dtype=bool)
-        slots = np.flatnonzero(self._found)
-        mask[slots] = self._plan.legal
+        rows = np.flatnonzero(self._found)
+        mask[rows] = self._plan.legal
         # Samplers and losses need one legal action everywhere, also in a terminal state: boxed-in
-        # objects may be tried in vain, and where nothing is detected slot 0 stands in.
+        # objects may be tried in vain, and where nothing is detected row 0 stands in.
         if not mask.any():
-            mask[slots if len(slots) else 0] = True
+            mask[rows if len(rows) else 0] = True
         self._action_mask = torch.from_numpy(mask.ravel())
-        self.action_spec.update_mask(self._action_mask)
+        self._action_leaf.update_mask(self._action_mask)
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """Free the model and the picture's context."""
         if not self.is_closed:
             self._environment.close()
         super().close(raise_if_closed=raise_if_closed)
-
-
-def _by_slot(rows: NDArray[np.float64], found: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """One row per slot from one per detected slot; zero where a slot is not detected."""
-    spread = np.zeros((len(found), *rows.shape[1:]), dtype=np.float32)
-    spread[found] = rows
-    return spread
-
-
-def _padded(rows: NDArray, n: int, fill: int = 0) -> torch.Tensor:
-    """The rows as a tensor, followed by rows of `fill` up to n."""
-    padded = np.full((n, *rows.shape[1:]), fill, dtype=rows.dtype)
-    padded[: len(rows)] = rows
-    return torch.from_numpy(padded)

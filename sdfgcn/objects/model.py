@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import ConvexHull
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,11 @@ class ObjectModel:
     pieces: tuple[NDArray[np.float32], ...]
     mass: float
     rests: tuple[Rest, ...]
+
+    @functools.cached_property
+    def hull(self) -> NDArray[np.float32]:
+        """[K, 3] the vertices of the visual mesh's convex hull; they alone make its outline."""
+        return self.vertices[ConvexHull(self.vertices).vertices]
 
 
 @dataclass(frozen=True)

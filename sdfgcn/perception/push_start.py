@@ -15,6 +15,7 @@ from scipy.ndimage import map_coordinates
 
 from sdfgcn.config import N_DIRECTIONS, ArenaConfig, PushConfig
 from sdfgcn.sim.camera import CameraModel
+from sdfgcn.sim.placement import Region
 from sdfgcn.sim.push import direction_vector
 from sdfgcn.sim.types import PushCommand
 
@@ -57,63 +58,74 @@ def centers(
     return camera.back_project(np.stack([u, v], axis=-1), plane_height)[..., :2]
 
 
-def plan_pushes(
-    masks: NDArray[np.bool_],
-    sdfs: NDArray[np.float32],
-    camera: CameraModel,
-    config: PushConfig,
-    arena: ArenaConfig,
-) -> PushPlan:
-    """Plan all pushes of all nodes.
+class PushPlanner:
+    """Plans all pushes of all nodes of a picture."""
 
-    Args:
-        masks: [m, H, W], none empty.
-        sdfs: [m, H, W] their signed distance fields, pixels.
-        camera: The camera that took the picture.
-        config: `clearance`, `walk` and `plane_height` in metres.
-        arena: `reach_x` and `reach_y` bound the start.
-    """
-    m = len(masks)
-    if m == 0:
-        empty = np.zeros((0, N_DIRECTIONS))
-        starts = np.zeros((0, N_DIRECTIONS, 2))
-        return PushPlan(np.zeros((0, 2)), starts, empty, empty.astype(bool))
-    directions = np.stack([direction_vector(k) for k in range(N_DIRECTIONS)])
-    back = np.arange(0.0, MAX_WALK, config.walk)
-    center = centers(masks, camera, config.plane_height)
-    # [m, 8, S, 2]: S points on each line, ever further behind the object.
-    points = np.full((m, N_DIRECTIONS, len(back), 3), config.plane_height)
-    line = points[..., :2]
-    line[:] = center[:, None, None] - back[:, None] * directions[:, None, :]
-    pixels = camera.project(points)
-    scale = camera.focal / ((camera.position - points) @ camera.rotation[:, 2])  # pixels a metre
+    def __init__(self, camera: CameraModel, config: PushConfig, arena: ArenaConfig):
+        """Prepare what is the same for every picture.
 
-    # Outside the picture nothing is known to be free, and no object is known to reach there.
-    union = _sample(sdfs.min(axis=0), pixels, outside=-1.0)
-    own = np.stack([_sample(sdf, uv, outside=1.0) for sdf, uv in zip(sdfs, pixels, strict=True)])
-    step = np.arange(len(back))
-    # Behind the object's rearmost part on the line: the centre of a ring is free, but not behind.
-    behind = step > np.max(np.where(own <= 0.0, step, 0), axis=-1, keepdims=True)
-    clear = (union >= config.clearance * scale) & behind
-    low = np.array([arena.reach_x[0], arena.reach_y[0]])
-    high = np.array([arena.reach_x[1], arena.reach_y[1]])
-    within = ((line >= low) & (line <= high)).all(axis=-1)
-    first = np.argmax(clear & within, axis=-1)
-    # The line must not have left the bounds before: they are convex, so one test is enough.
-    legal = (clear & within).any(axis=-1)
-    start = np.take_along_axis(line, first[..., None, None], axis=2)[..., 0, :]
-    start = np.where(legal[..., None], start, np.nan)
-    # Ahead of the start, the nearest occupied point on the line.
-    occupied = (union <= 0.0) & (step < first[..., None])
-    surface = np.max(np.where(occupied, step, 0), axis=-1)
-    free = (first - surface) * config.walk
-    return PushPlan(center=center, start=start, free=free, legal=legal)
+        Args:
+            camera: The camera that takes the pictures.
+            config: `clearance`, `walk` and `plane_height` in metres.
+            arena: `reach_x` and `reach_y` bound the start.
+        """
+        self._camera = camera
+        self._config = config
+        self._reach = Region.reach(arena)
+        directions = np.stack([direction_vector(k) for k in range(N_DIRECTIONS)])
+        back = np.arange(0.0, MAX_WALK, config.walk)
+        self._step = np.arange(len(back))
+        # [8, S, 3]: S points on each line, ever further behind an object at the origin.
+        self._behind = np.zeros((N_DIRECTIONS, len(back), 3))
+        self._behind[..., :2] = -back[:, None] * directions[:, None, :]
+
+    def centers(self, masks: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """[m, 2] the centre of each of the [m, H, W] masks, metres; none may be empty."""
+        return centers(masks, self._camera, self._config.plane_height)
+
+    def plan(self, masks: NDArray[np.bool_], sdfs: NDArray[np.float32]) -> PushPlan:
+        """Plan them.
+
+        Args:
+            masks: [m, H, W], none empty.
+            sdfs: [m, H, W] their signed distance fields, pixels.
+        """
+        m = len(masks)
+        if m == 0:
+            empty = np.zeros((0, N_DIRECTIONS))
+            starts = np.zeros((0, N_DIRECTIONS, 2))
+            return PushPlan(np.zeros((0, 2)), starts, empty, empty.astype(bool))
+        camera, config, step = self._camera, self._config, self._step
+        center = self.centers(masks)
+        origin = np.column_stack([center, np.full(m, config.plane_height)])
+        points = origin[:, None, None] + self._behind
+        line = points[..., :2]
+        pixels, scale = camera.project_scaled(points)
+
+        # Outside the picture nothing is known to be free, and no object is known to reach there.
+        union = _sample(sdfs.min(axis=0)[None], pixels[None], outside=-1.0)[0]
+        own = _sample(sdfs, pixels, outside=1.0)
+        # Behind the object's rearmost part on the line: the centre of a ring is free, but not
+        # behind.
+        behind = step > np.max(np.where(own <= 0.0, step, 0), axis=-1, keepdims=True)
+        clear = (union >= config.clearance * scale) & behind & self._reach.contains(line)
+        first = np.argmax(clear, axis=-1)
+        # The line must not have left the bounds before: they are convex, so one test is enough.
+        legal = clear.any(axis=-1)
+        start = np.take_along_axis(line, first[..., None, None], axis=2)[..., 0, :]
+        start = np.where(legal[..., None], start, np.nan)
+        # Ahead of the start, the nearest occupied point on the line.
+        occupied = (union <= 0.0) & (step < first[..., None])
+        surface = np.max(np.where(occupied, step, 0), axis=-1)
+        free = (first - surface) * config.walk
+        return PushPlan(center=center, start=start, free=free, legal=legal)
 
 
-def _sample(field: NDArray, pixels: NDArray, outside: float) -> NDArray[np.float64]:
-    """Bilinear samples of an [H, W] field at [..., 2] pixel coordinates (u, v)."""
+def _sample(fields: NDArray, pixels: NDArray, outside: float) -> NDArray[np.float64]:
+    """Bilinear samples of each of the [m, H, W] fields at its [m, ..., 2] pixels (u, v)."""
+    m, height, width = fields.shape
     rows, columns = pixels[..., 1] - 0.5, pixels[..., 0] - 0.5
-    values = map_coordinates(field, [rows.ravel(), columns.ravel()], order=1, mode="nearest")
-    height, width = field.shape
+    layer = np.broadcast_to(np.arange(m).reshape(m, *(1,) * (rows.ndim - 1)), rows.shape)
+    values = map_coordinates(fields, np.stack([layer, rows, columns]), order=1, mode="nearest")
     inside = (rows > -0.5) & (rows < height - 0.5) & (columns > -0.5) & (columns < width - 0.5)
-    return np.where(inside, values.reshape(rows.shape), outside)
+    return np.where(inside, values, outside)

@@ -44,12 +44,23 @@ class CameraModel:
             [..., 2] column u and row v, pixels; not clipped to the picture. A point that is not
             in front of the camera gives NaN.
         """
+        return self.project_scaled(points)[0]
+
+    def project_scaled(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """World points to the picture, and how large the picture shows things there.
+
+        Args:
+            points: [..., 3] world points, metres.
+
+        Returns:
+            [..., 2] as `project`, and [...] pixels per metre across the line of sight.
+        """
         local = (np.asarray(points, dtype=np.float64) - self.position) @ self.rotation
         depth = -local[..., 2]
-        depth = np.where(depth > 0.0, depth, np.nan)
-        u = 0.5 * self.size + self.focal * local[..., 0] / depth
-        v = 0.5 * self.size - self.focal * local[..., 1] / depth
-        return np.stack([u, v], axis=-1)
+        scale = self.focal / np.where(depth > 0.0, depth, np.nan)
+        pixels = local[..., :2] * scale[..., None]
+        pixels[..., 1] *= -1.0
+        return pixels + 0.5 * self.size, scale
 
     def back_project(self, pixels: ArrayLike, height: ArrayLike = 0.0) -> NDArray[np.float64]:
         """Where the ray through a pixel meets a horizontal plane.

@@ -68,8 +68,8 @@ def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig)
         goal = start if scenario.same_yaw else _turned(rng, rests)
         models = [catalogue[i] for i in chosen]
         situation = Situation(
-            start=tuple(map(footprint, [m.vertices for m in models], start)),
-            goal=tuple(map(footprint, [m.vertices for m in models], goal)),
+            start=tuple(map(footprint, [m.hull for m in models], start)),
+            goal=tuple(map(footprint, [m.hull for m in models], goal)),
             categories=tuple(m.category for m in models),
         )
         try:

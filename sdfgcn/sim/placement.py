@@ -68,9 +68,16 @@ class Region:
         low, high = np.transpose([arena.range_x, arena.range_y])
         return Region(low, high)
 
+    @staticmethod
+    def reach(arena: ArenaConfig) -> Region:
+        """Where the tool may go."""
+        low, high = np.transpose([arena.reach_x, arena.reach_y])
+        return Region(low, high)
+
     def contains(self, points: NDArray) -> NDArray[np.bool_]:
         """[...] whether each of the [..., 2] points lies inside."""
-        return np.all((points >= self.low) & (points <= self.high), axis=-1)
+        inside = (points >= self.low) & (points <= self.high)
+        return inside[..., 0] & inside[..., 1]
 
 
 def footprint(vertices: NDArray, quat: NDArray) -> Polygon:

@@ -10,6 +10,7 @@ from dm_control import mjcf
 from numpy.typing import NDArray
 
 from sdfgcn.config import N_DIRECTIONS, ArenaConfig, PushConfig
+from sdfgcn.sim.placement import Region
 from sdfgcn.sim.robots import Robot, Unreachable
 from sdfgcn.sim.types import PushCommand, PushStatus
 
@@ -37,10 +38,8 @@ class PushPrimitive:
             robot: The robot that executes it, already compiled.
         """
         self._config = config
-        self._low = np.array([arena.reach_x[0], arena.reach_y[0]])
-        self._high = np.array([arena.reach_x[1], arena.reach_y[1]])
+        self._reach = Region.reach(arena)
         self._robot = robot
-        self._force = np.zeros(6)
 
     def execute(
         self, physics: mjcf.Physics, command: PushCommand
@@ -49,7 +48,7 @@ class PushPrimitive:
 
         The robot crosses the free space above the props in one jump: nothing there can be
         touched, so simulating it would only cost time. Descent, push and lift are simulated.
-        A descent that touches anything is given up.
+        A descent that would touch anything is given up, and nothing moves.
 
         Args:
             physics: Stepped in place.
@@ -61,7 +60,7 @@ class PushPrimitive:
         config = self._config
         ahead = direction_vector(command.direction)
         start = np.array([*command.start, config.height])
-        if not ((command.start >= self._low) & (command.start <= self._high)).all():
+        if not self._reach.contains(command.start):
             return "unreachable", start, start
         above = np.array([*start[:2], config.height + config.approach])
         furthest = self._room(command.start, ahead, command.free + 2.0 * config.length)
@@ -75,39 +74,59 @@ class PushPrimitive:
         except Unreachable:
             return "unreachable", start, start
 
-        self._robot.place(physics, q_above)
-        physics.forward()
-        _, blocked = self._follow(
-            physics, descent, config.descent_speed, stop_at=config.blocked_force
-        )
-        if blocked:
-            # The way it came is free. Turning round takes the arm long enough to shift the prop.
+        if not self._free(physics, descent):
             self._robot.place(physics, self._robot.home)
             return "blocked", start, start
+        self._robot.place(physics, q_above)
+        self._follow(physics, descent, config.descent_speed)
         reached, touched = self._push(physics, push, command.free + config.length)
-        position, joints = push.at(reached)
-        self._hold(physics, joints)
-        self._lift(physics, yaw, position, joints)
-        return ("done" if touched else "no_contact"), start, position
+        self._lift(physics, yaw, push, reached)
+        return ("done" if touched else "no_contact"), start, push.at(reached)[0]
+
+    def _free(self, physics: mjcf.Physics, path: _Path) -> bool:
+        """Whether the robot can go along a path without touching a prop.
+
+        It is put at every other knot, and nothing moves: the props lie still while the tool comes
+        down. What the tool passes in between, its shaft touches further down.
+        """
+        model, data = physics.model.ptr, physics.data.ptr
+        for joints in path.joints[::-2]:
+            self._robot.place(physics, joints)
+            mujoco.mj_kinematics(model, data)
+            mujoco.mj_collision(model, data)
+            if self._touches(data):
+                return False
+        return True
+
+    def _touches(self, data: mujoco.MjData) -> bool:
+        """Whether a prop is in contact with the robot."""
+        return bool(data.ncon) and bool(self._robot.owns_geom[data.contact.geom].any())
 
     def _push(self, physics: mjcf.Physics, path: _Path, expected: float) -> tuple[float, bool]:
         """Push `length` past the first touch, or `expected` metres. Returns (reached, touched)."""
         config = self._config
-        reached, touched = self._follow(physics, path, config.speed, until=expected, stop_at=0.0)
+        reached, touched = self._follow(
+            physics, path, config.speed, until=expected, until_touch=True
+        )
         if touched:
             stop = reached + config.length if config.touch else expected
             reached, _ = self._follow(physics, path, config.speed, origin=reached, until=stop)
         return reached, touched
 
-    def _hold(self, physics: mjcf.Physics, joints: NDArray) -> None:
-        """Stand still: rising while it still presses, the tool would throw the prop."""
-        physics.data.ctrl[self._robot.drive_ids] = joints
-        steps = round(self._config.hold / physics.timestep())
-        mujoco.mj_step(physics.model.ptr, physics.data.ptr, steps)
+    def _lift(self, physics: mjcf.Physics, yaw: float, push: _Path, reached: float) -> None:
+        """Back off a little, go straight up to the approach height, then home.
 
-    def _lift(self, physics: mjcf.Physics, yaw: float, bottom: NDArray, joints: NDArray) -> None:
-        """Straight up to the approach height, then home."""
+        Rising while it still presses, the tool would drag the prop's edge up and throw it.
+        """
         config = self._config
+        away, _ = self._follow(
+            physics,
+            push,
+            config.descent_speed,
+            origin=reached,
+            until=max(0.0, reached - config.retreat),
+        )
+        bottom, joints = push.at(away)
         top = np.array([*bottom[:2], config.height + config.approach])
         # Out of reach half-way up, the arm leaves for home from where it is.
         with contextlib.suppress(Unreachable):
@@ -123,7 +142,7 @@ class PushPrimitive:
         *,
         origin: float = 0.0,
         until: float = np.inf,
-        stop_at: float | None = None,
+        until_touch: bool = False,
     ) -> tuple[float, bool]:
         """Drive the tool along a path.
 
@@ -132,44 +151,37 @@ class PushPrimitive:
             path: Where to go.
             speed: Metres per second.
             origin: Metres along the path at which to begin.
-            until: Metres along the path at which to end.
-            stop_at: Stop once props press on the robot with more than this, newtons.
+            until: Metres along the path at which to end; it may lie before `origin`.
+            until_touch: Stop as soon as a prop touches the robot.
 
         Returns:
-            How far along the path the tool was sent, and whether it was stopped.
+            How far along the path the tool was sent, and whether a touch stopped it.
         """
         # Where no touch has to be noticed, every other command is enough.
-        tick = self._config.control_timestep * (2 if stop_at is None else 1)
-        steps = round(tick / physics.timestep())
+        tick = self._config.control_timestep * (1 if until_touch else 2)
+        steps = round(tick / physics.model.opt.timestep)
         until = min(until, path.length)
-        ticks = max(1, int(np.ceil((until - origin) / (speed * tick) - 1e-9)))
-        travelled = np.linspace(origin, until, ticks + 1)
+        ticks = max(1, int(np.ceil(abs(until - origin) / (speed * tick) - 1e-9)))
+        travelled = origin + (until - origin) / ticks * np.arange(ticks + 1)
         joints = path.joints_at(travelled)
         # The velocity feed-forward takes out the lag of the drives.
-        control = joints[1:] + self._robot.lead * np.diff(joints, axis=0) / tick
+        control = joints[1:] + self._robot.lead * (joints[1:] - joints[:-1]) / tick
         # Without it at the end the tool comes to rest there and does not shoot past.
         brake = min(ticks, round(self._config.brake / tick))
         control[ticks - brake :] = joints[ticks + 1 - brake :]
-        model, data, drives = physics.model.ptr, physics.data.ptr, self._robot.drive_ids
+        model, data = physics.model.ptr, physics.data.ptr
+        drives, commanded = self._robot.drive_ids, data.ctrl
         for reached, command in zip(travelled[1:], control, strict=True):
-            data.ctrl[drives] = command
+            commanded[drives] = command
             mujoco.mj_step(model, data, steps)
-            if stop_at is not None and data.ncon and self._pressure(model, data) > stop_at:
+            if until_touch and self._touches(data):
                 return float(reached), True
         return float(until), False
-
-    def _pressure(self, model: mujoco.MjModel, data: mujoco.MjData) -> float:
-        """Sum of the normal forces of props on the robot, newtons."""
-        total = 0.0
-        for i in np.flatnonzero(self._robot.owns_geom[data.contact.geom].any(axis=1)):
-            mujoco.mj_contactForce(model, data, int(i), self._force)
-            total += self._force[0]
-        return total
 
     def _room(self, start: NDArray, ahead: NDArray, wanted: float) -> float:
         """How far the tool may go from `start` along `ahead` without leaving its bounds."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            limits = np.where(ahead > 0, self._high - start, self._low - start) / ahead
+            limits = np.where(ahead > 0, self._reach.high - start, self._reach.low - start) / ahead
         limits = np.where(np.abs(ahead) < 1e-9, np.inf, limits)
         return float(max(0.0, min(wanted, limits.min())))
 
@@ -181,16 +193,21 @@ class _Path:
         self.length = float(np.linalg.norm(target - origin))
         self._origin, self._target = origin, target
         count = max(1, int(np.ceil(self.length / knot)))
-        self._knots = np.linspace(0.0, self.length, count + 1)
+        share = np.arange(count + 1) / count
+        self._knots = self.length * share
+        poses = np.full((count + 1, 4), yaw)
+        poses[:, :3] = origin + (target - origin) * share[:, None]
         joints = [q_origin]
-        for share in np.linspace(0.0, 1.0, count + 1)[1:]:
-            position = origin + (target - origin) * share
-            joints.append(robot.solve(np.array([*position, yaw]), near=joints[-1]))
+        for pose in poses[1:]:
+            joints.append(robot.solve(pose, near=joints[-1]))
         self.joints = np.array(joints)
 
     def joints_at(self, travelled: NDArray) -> NDArray:
         """[T, drives] joint positions at [T] metres along the path."""
-        return np.stack([np.interp(travelled, self._knots, q) for q in self.joints.T], axis=-1)
+        joints = np.empty((len(travelled), self.joints.shape[1]))
+        for i, knots in enumerate(self.joints.T):
+            joints[:, i] = np.interp(travelled, self._knots, knots)
+        return joints
 
     def at(self, travelled: float) -> tuple[NDArray, NDArray]:
         """Tool position [3] and joint positions, `travelled` metres along the path."""

@@ -22,6 +22,7 @@ from sdfgcn.sim.reward import reward_terms
 from sdfgcn.sim.robots import ROBOTS
 from sdfgcn.sim.types import Push, PushCommand
 
+READY_TO_SLEEP = -1  # to which MuJoCo counts tree_asleep up while a tree lies still
 SETTLE_STEPS = 5  # simulation steps between two looks at whether the props are at rest
 
 
@@ -46,6 +47,7 @@ class RearrangementTask(composer.Task):
         self._range = Region.range(config.arena)
         self.control_timestep = config.physics.timestep
         self._episode: Episode | None = None
+        self._left = np.zeros((0, 7))
         self._previous = self._distances = np.zeros(0)
         self._last_push: Push | None = None
 
@@ -66,6 +68,7 @@ class RearrangementTask(composer.Task):
         torques = np.array([prop.rolling_torque for prop in self._props])
         physics.model.dof_frictionloss[self._qvel[:, 3:]] = torques[:, None]
         self._bodies = physics.bind(bodies).element_id
+        self._trees = physics.model.body_treeid[self._bodies]
         self._visuals = physics.bind([prop.visual for prop in self._props]).element_id
         self._pieces = physics.bind([g for prop in self._props for g in prop.pieces]).element_id
         self._piece_props = np.repeat(
@@ -99,7 +102,7 @@ class RearrangementTask(composer.Task):
         """Park what is not in the episode, place the rest at the start and let it settle."""
         del random_state
         self._dress(physics)
-        self.set_poses(physics, self.episode.start)
+        self.set_poses(physics, self.episode.start, resting=False)
         self._settle(physics)
         self.resume(physics, self.poses(physics))
 
@@ -121,7 +124,7 @@ class RearrangementTask(composer.Task):
         model.geom_conaffinity[self._pieces] = touching * CONAFFINITY_PROP
         model.body_contype[self._bodies] = active * CONTYPE_PROP
         model.body_conaffinity[self._bodies] = active * CONAFFINITY_PROP
-        model.tree_sleep_policy[model.body_treeid[self._bodies]] = np.where(
+        model.tree_sleep_policy[self._trees] = np.where(
             active, int(mjtSleepPolicy.mjSLEEP_ALLOWED), int(mjtSleepPolicy.mjSLEEP_INIT)
         )
         self.slot_of_geom[:] = -1
@@ -162,24 +165,23 @@ class RearrangementTask(composer.Task):
         """
         del random_state
         self.set_poses(physics, self._left)
-        self._previous, self._distances = self._distances, self.distances(physics)
+        self._previous, self._distances = self._distances, self._to_goal(self._left)
 
     def get_reward(self, physics: mjcf.Physics) -> float:
         """The sum of the reward's terms, as far as the simulation can tell."""
-        return sum(self.reward_terms(physics).values())
+        del physics
+        return sum(self.reward_terms().values())
 
     # ------------------------------------------------------------------ what is true
 
-    def reward_terms(
-        self, physics: mjcf.Physics, vanished: int = 0, none_left: bool = False
-    ) -> dict[str, float]:
+    def reward_terms(self, vanished: int = 0, none_left: bool = False) -> dict[str, float]:
         """The last push's reward terms; see `sdfgcn.sim.reward`."""
         return reward_terms(
             self._config.reward,
             self._previous,
             self._distances,
-            success=self.success(physics),
-            out_of_range=self.out_of_range(physics),
+            success=self.success,
+            out_of_range=self.out_of_range,
             vanished=vanished,
             none_left=none_left,
         )
@@ -188,40 +190,57 @@ class RearrangementTask(composer.Task):
         """[n, 7] true poses in slot order: xyz in metres, quaternion w, x, y, z."""
         return physics.data.qpos[self._qpos[self.episode.objects]].copy()
 
-    def distances(self, physics: mjcf.Physics) -> NDArray[np.float64]:
-        """[n] horizontal distance of each object's centre to its goal, metres."""
-        offsets = self.poses(physics)[:, :2] - self.episode.goal[:, :2]
-        return np.linalg.norm(offsets, axis=1)
+    @property
+    def distances(self) -> NDArray[np.float64]:
+        """[n] horizontal distance of each object's centre to its goal after the push, metres."""
+        return self._distances
 
-    def success(self, physics: mjcf.Physics) -> bool:
-        """Whether every object is within the threshold of its goal at this moment."""
-        return bool((self.distances(physics) <= self._config.success_threshold).all())
+    @property
+    def success(self) -> bool:
+        """Whether every object is within the threshold of its goal at the same moment."""
+        return bool((self._distances <= self._config.success_threshold).all())
 
-    def out_of_range(self, physics: mjcf.Physics) -> bool:
+    @property
+    def out_of_range(self) -> bool:
         """Whether some object's centre has left the allowed region."""
-        return not self._range.contains(self.poses(physics)[:, :2]).all()
+        return not self._range.contains(self._left[:, :2]).all()
+
+    def _to_goal(self, poses: NDArray) -> NDArray[np.float64]:
+        return np.linalg.norm(poses[:, :2] - self.episode.goal[:, :2], axis=1)
 
     # ------------------------------------------------------------------ placing and settling
 
-    def set_poses(self, physics: mjcf.Physics, poses: NDArray) -> None:
-        """Put the episode's objects at [n, 7] poses, everything at rest, the robot at home."""
+    def set_poses(self, physics: mjcf.Physics, poses: NDArray, resting: bool = True) -> None:
+        """Put the episode's objects at [n, 7] poses, without velocity, the robot at home.
+
+        Args:
+            physics: Changed in place.
+            poses: xyz in metres, quaternion w, x, y, z.
+            resting: Whether the objects are known to lie still there. Then they fall asleep at
+                the first step that finds them so, and not after MuJoCo's ten.
+        """
         # Not physics.reset(): that runs the whole forward pass once more.
         mujoco.mj_resetData(physics.model.ptr, physics.data.ptr)
         physics.data.qpos[self._qpos[self.episode.objects]] = poses
+        if resting:
+            physics.data.tree_asleep[self._trees[self.episode.objects]] = READY_TO_SLEEP
         self.robot.place(physics, self.robot.home)
-        physics.forward()
+        # As much of the forward pass as a picture needs; the next step does all of it.
+        mujoco.mj_kinematics(physics.model.ptr, physics.data.ptr)
+        mujoco.mj_camlight(physics.model.ptr, physics.data.ptr)
 
     def resume(self, physics: mjcf.Physics, poses: NDArray) -> None:
         """Go on from [n, 7] poses as if the last push had left the objects there."""
         self.set_poses(physics, poses)
+        self._left = np.array(poses)
         self._last_push = None
-        self._previous = self._distances = self.distances(physics)
+        self._previous = self._distances = self._to_goal(self._left)
 
     def _settle(self, physics: mjcf.Physics) -> None:
         """Step until every prop sleeps, which is to say lies still; at most `settle_seconds`."""
         config = self._config.physics
         model, data = physics.model.ptr, physics.data.ptr
-        trees = model.body_treeid[self._bodies[self.episode.objects]]
+        trees = self._trees[self.episode.objects]
         for _ in range(round(config.settle_seconds / (SETTLE_STEPS * config.timestep))):
             mujoco.mj_step(model, data, SETTLE_STEPS)
             if (data.tree_asleep[trees] >= 0).all():

@@ -1,0 +1,13 @@
+"""The options of `conf/perception/`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from sdfgcn.config import PerceptionConfig
+from sdfgcn.perception.oracle import OraclePerception
+from sdfgcn.perception.perception import Perception
+
+PERCEPTIONS: dict[str, Callable[[PerceptionConfig, int], Perception]] = {
+    "oracle": OraclePerception,
+}
