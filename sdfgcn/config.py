@@ -140,12 +140,28 @@ class RewardConfig:
 
 
 @dataclass
+class EncoderConfig:
+    """What tells objects apart for matching (`conf/encoder/`)."""
+
+    name: str = MISSING
+    path: str | None = None
+    depth: int = 0
+    stages: list[int] = MISSING
+    patch: float = MISSING
+    input_size: int = MISSING
+    rotations: int = MISSING
+    color_weight: float = MISSING
+    camera_tilt: float = MISSING
+
+
+@dataclass
 class PerceptionConfig:
     """Picture -> masks -> SDFs (`conf/perception/`)."""
 
     name: str = MISSING
     min_pixels: int = MISSING
     sdf: str = MISSING
+    encoder: EncoderConfig = field(default_factory=EncoderConfig)
 
 
 @dataclass

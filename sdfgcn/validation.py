@@ -45,6 +45,11 @@ def validate(config: Config) -> None:
             f"env.push.control_timestep is {env.push.control_timestep}, but must be a multiple of "
             f"env.physics.timestep ({env.physics.timestep})."
         )
+    if not 0 < env.perception.encoder.patch <= 1:
+        raise SdfgcnError(
+            f"env.perception.encoder.patch is {env.perception.encoder.patch}, but must be above 0 "
+            "and at most 1."
+        )
     if env.split != config.eval.split:
         raise SdfgcnError(
             f"env.split is '{env.split}' while eval.split is '{config.eval.split}': set eval.split "
@@ -57,6 +62,9 @@ def validate(config: Config) -> None:
         ("runtime.workers", config.runtime.workers, 0),
         ("runtime.torch_threads", config.runtime.torch_threads, 1),
         ("env.pushes_per_object", env.pushes_per_object, 1),
+        ("env.perception.encoder.input_size", env.perception.encoder.input_size, 32),
+        ("env.perception.encoder.rotations", env.perception.encoder.rotations, 1),
+        ("env.perception.encoder.color_weight", env.perception.encoder.color_weight, 0),
     ):
         if value < least:
             raise SdfgcnError(f"{key} is {value}, but must be at least {least}.")

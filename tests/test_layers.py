@@ -13,6 +13,7 @@ from omegaconf import OmegaConf
 from sdfgcn.agents import MODELS
 from sdfgcn.loggers import LOGGERS
 from sdfgcn.objects.catalogue import SOURCES
+from sdfgcn.perception.encoders import ENCODERS
 from sdfgcn.sim.robots import ROBOTS
 from sdfgcn.sim.scenarios import SCENARIOS
 from sdfgcn.viz import RECORDERS
@@ -48,6 +49,7 @@ OPTIONAL = {"rerun": "viz", "trimesh": "objects", "coacd": "objects"}
 LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "mujoco", "dm_control", "statsmodels")
 
 REGISTRIES = {
+    "encoder": ENCODERS,
     "logger": LOGGERS,
     "model": MODELS,
     "objects": SOURCES,
@@ -139,7 +141,8 @@ def test_registry_and_conf_name_the_same_things(group: str) -> None:
 @pytest.mark.parametrize(("group", "option"), OPTIONS)
 def test_every_option_composes_and_is_named_after_its_file(group: str, option: str) -> None:
     config = real_config(f"{group}={option}")
-    part = getattr(config, group, None) or getattr(config.env, group)
+    places = (config, config.env, config.env.perception)
+    part = next(getattr(place, group) for place in places if hasattr(place, group))
     assert part.name == option
 
 

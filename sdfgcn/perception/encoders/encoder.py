@@ -1,0 +1,84 @@
+"""What every encoder is: a pretrained network, read after some of its stages."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import interpolate
+
+from sdfgcn.errors import SdfgcnError
+
+# Of the pictures that the networks were trained on; red, green, blue.
+IMAGENET_MEAN = (0.485, 0.456, 0.406)
+IMAGENET_STD = (0.229, 0.224, 0.225)
+
+_LEAST_WEIGHT = 1e-4  # of a feature-map cell: a mask that vanishes on a coarse map divides by it
+
+
+class Encoder(nn.Module, ABC):
+    """A pretrained network whose stages are pooled over the object.
+
+    Middle stages tell objects a few pixels across apart where logits do not: the network's late
+    stages were trained to see objects that fill the picture.
+    """
+
+    def __init__(self, stages: Sequence[int]) -> None:
+        """Set which stages are read.
+
+        Args:
+            stages: Their numbers, from 1 to `n_stages`.
+
+        Raises:
+            SdfgcnError: There is no such stage, or none is asked for.
+        """
+        super().__init__()
+        if not stages or not all(1 <= stage <= self.n_stages for stage in stages):
+            raise SdfgcnError(
+                f"env.perception.encoder.stages is {list(stages)}, but must list numbers between 1 "
+                f"and {self.n_stages}."
+            )
+        self.stages = tuple(stages)
+
+    @property
+    @abstractmethod
+    def n_stages(self) -> int:
+        """How many stages the network has."""
+
+    @abstractmethod
+    def stem(self, pictures: Tensor) -> Tensor:
+        """What comes before the first stage: [B, 3, S, S] -> a feature map."""
+
+    @abstractmethod
+    def stage(self, number: int, maps: Tensor) -> Tensor:
+        """Stage `number`, counted from 1: a feature map -> a feature map."""
+
+    @torch.inference_mode()
+    def forward(self, pictures: Tensor, masks: Tensor) -> list[Tensor]:
+        """Pool the chosen stages over the object; later stages are not computed.
+
+        Args:
+            pictures: float32 [B, 3, S, S], normalised with ImageNet's mean and deviation.
+            masks: float32 [B, 1, S, S], 1 on the object.
+
+        Returns:
+            For each chosen stage [B, 2C]: mean and standard deviation of its C channels.
+        """
+        maps = self.stem(pictures.contiguous(memory_format=torch.channels_last))
+        pooled: dict[int, Tensor] = {}
+        for number in range(1, max(self.stages) + 1):
+            maps = self.stage(number, maps)
+            if number in self.stages:
+                pooled[number] = pool(maps, masks)
+        return [pooled[number] for number in self.stages]
+
+
+def pool(maps: Tensor, masks: Tensor) -> Tensor:
+    """[B, 2C] mean and standard deviation of [B, C, h, w] feature maps over [B, 1, S, S] masks."""
+    weight = interpolate(masks, maps.shape[-2:], mode="area") + _LEAST_WEIGHT
+    weight = weight / weight.sum(dim=(2, 3), keepdim=True)
+    mean = (maps * weight).sum(dim=(2, 3), keepdim=True)
+    variance = ((maps - mean).square() * weight).sum(dim=(2, 3))
+    return torch.cat([mean.flatten(1), variance.sqrt()], dim=1)
