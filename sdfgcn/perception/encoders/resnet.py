@@ -118,9 +118,10 @@ class ResNet(Encoder):
                 f"env.perception.encoder.depth is {config.depth}, but must be one of "
                 f"{', '.join(map(str, DEPTHS))}."
             )
-        self._network = TorchvisionResNet(config.depth)
+        with torch.device("meta"):  # nothing drawn from torch's generator
+            self._network = TorchvisionResNet(config.depth)
         _load(self._network, config)
-        self._network.eval().requires_grad_(False)
+        self._network.eval().requires_grad_(False).float()
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def stem(self, pictures: Tensor) -> Tensor:
@@ -146,7 +147,7 @@ def _load(network: nn.Module, config: EncoderConfig) -> None:
         )
     state = _read(path)
     try:
-        network.load_state_dict(state)
+        network.load_state_dict(state, assign=True)
     except (AttributeError, RuntimeError, TypeError) as error:
         raise SdfgcnError(
             f"'{path}' does not hold torchvision's ResNet-{config.depth}: {_first_fault(error)}; "
