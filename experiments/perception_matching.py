@@ -5,11 +5,13 @@
 
 Held-out objects, true masks, the env's own pictures. Each object is turned and moved at random.
 Objects without a texture draw their colours from one palette with replacement, so that two may
-have the same. Writes `results/perception_matching.json`, or `_household` and so on.
+have the same. Writes `results/perception_matching.json`, or `_household` and so on;
+a run that was cut off goes on with the next count.
 """
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 import time
@@ -21,13 +23,14 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 
 import numpy as np
 import torch
-from common import ROOT, load, parse, save
+from common import RESULTS, ROOT, load, parse, save
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from sdfgcn.config import EnvConfig
+from sdfgcn.config import Config, EnvConfig
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.envs.types import Scene as Picture
+from sdfgcn.files import write_json
 from sdfgcn.perception.matching import Matcher
 from sdfgcn.perception.segmentation import detected
 from sdfgcn.results import git_state, versions, wilson
@@ -113,7 +116,7 @@ def measure(config: EnvConfig, matcher: Matcher, count: int, seed: int) -> dict[
 
     Returns:
         For each kind of feature the share of scenes that are wholly right, and of objects; and
-        the milliseconds that a new object costs.
+        the milliseconds of processor time that a new object costs.
     """
     env = RearrangementEnv(config, seed=seed)
     scene_right: dict[str, list[bool]] = {}
@@ -121,9 +124,9 @@ def measure(config: EnvConfig, matcher: Matcher, count: int, seed: int) -> dict[
     seconds: list[float] = []
     for each in tqdm(scenes(env, count, seed), total=count, unit="scene", leave=False):
         views = (each.current, each.goal)
-        began = time.perf_counter()
+        began = time.process_time()
         whole = [matcher.features(view.pixels, view.masks) for view in views]
-        seconds.append((time.perf_counter() - began) / max(1, sum(len(v.masks) for v in views)))
+        seconds.append((time.process_time() - began) / max(1, sum(len(v.masks) for v in views)))
         kinds = {
             "matcher": whole,
             "encoder_alone": [rows[:, :-3] for rows in whole],
@@ -146,11 +149,46 @@ def measure(config: EnvConfig, matcher: Matcher, count: int, seed: int) -> dict[
             }
             for kind, verdicts in scene_right.items()
         },
-        "ms_an_object": {
+        "cpu_ms_an_object": {
             "median": float(1e3 * np.median(seconds)),
             "p95": float(1e3 * np.quantile(seconds, 0.95)),
         },
     }
+
+
+def header(config: Config, scenes_each: int, overrides: list[str]) -> dict[str, Any]:
+    """What the rows follow from."""
+    return {
+        "objects": config.env.objects.name,
+        "split": config.env.split,
+        "encoder": asdict(config.env.perception.encoder),
+        "overrides": overrides,
+        "seed": config.seed,
+        "scenes": scenes_each,
+        "versions": versions(),
+        "git": git_state(ROOT),
+    }
+
+
+def file_name(config: Config) -> str:
+    """The default's result, and each other one, under a name of its own."""
+    usual = {"scanned", "test", "efficientnet_lite0"}
+    parts = (config.env.objects.name, config.env.split, config.env.perception.encoder.name)
+    return "_".join(["perception_matching", *(part for part in parts if part not in usual)])
+
+
+def finished(name: str, head: dict[str, Any]) -> list[dict[str, Any]]:
+    """Rows that a run of the same code and config has already written: it was cut off."""
+    path = RESULTS / f"{name}.json"
+    if not path.exists():
+        return []
+    written = json.loads(path.read_text(encoding="utf-8"))
+    same = all(written.get(key) == value for key, value in head.items() if key != "git")
+    commit = (written.get("git") or {}).get("commit")
+    if not same or commit != (head["git"] or {}).get("commit"):
+        return []
+    tqdm.write(f"goes on from {path}; remove it to begin again")
+    return written["rows"]
 
 
 def main() -> None:
@@ -158,32 +196,17 @@ def main() -> None:
     if not any(override.startswith("robot=") for override in overrides):
         overrides.append("robot=gripper")  # out of the picture either way, and faster to build
     torch.set_num_threads(1)
-    counts = {n: load([*overrides, f"n_objects={n}"]) for n in N_OBJECTS}
-    config = counts[N_OBJECTS[0]]
+    configs = {n: load([*overrides, f"n_objects={n}"]) for n in N_OBJECTS}
+    config = configs[N_OBJECTS[0]]
     matcher = Matcher(config.env.perception.encoder)
-    rows = []
-    for n in tqdm(N_OBJECTS, unit="count"):
-        rows.append(measure(counts[n].env, matcher, own["scenes"], seed=config.seed + n))
+    head, name = header(config, own["scenes"], overrides), file_name(config)
+    rows = finished(name, head)
+    for n in tqdm(N_OBJECTS[len(rows) :], unit="count"):
+        rows.append(measure(configs[n].env, matcher, own["scenes"], seed=config.seed + n))
+        write_json(RESULTS / f"{name}.json", {**head, "rows": rows})
         share = rows[-1]["matcher"]["scenes_right"]
         tqdm.write(f"{n} objects: {100 * share:.1f}% of the scenes wholly right")
-    name = "perception_matching"
-    if config.env.objects.name != "scanned":
-        name += f"_{config.env.objects.name}"
-    if config.env.perception.encoder.name != "efficientnet_lite0":
-        name += f"_{config.env.perception.encoder.name}"
-    save(
-        name,
-        {
-            "objects": config.env.objects.name,
-            "split": config.env.split,
-            "encoder": asdict(config.env.perception.encoder),
-            "overrides": overrides,
-            "seed": config.seed,
-            "rows": rows,
-            "versions": versions(),
-            "git": git_state(ROOT),
-        },
-    )
+    save(name, {**head, "rows": rows})
 
 
 if __name__ == "__main__":
