@@ -187,9 +187,60 @@ class EnvConfig:
 
 @dataclass
 class ModelConfig:
-    """Which method picks the push (`conf/model/`)."""
+    """Which method picks the push (`conf/model/`); learned ones extend it with their own keys."""
 
     name: str = MISSING
+
+
+@dataclass
+class ConvWidthConfig:
+    """Convolutions of a network over pictures: one entry a CNN block, in it one a convolution."""
+
+    channels: list[list[int]] = MISSING
+    strides: list[list[int]] = MISSING
+    pooling: list[int] = MISSING
+    hidden: int = MISSING
+
+
+@dataclass
+class ConvModelConfig(ModelConfig):
+    """A Q-network over pictures without a graph (`conf/model/sdf_cnn.yaml`)."""
+
+    features: str = MISSING
+    sdf_unit: float = MISSING
+    width: str = MISSING
+    widths: dict[str, ConvWidthConfig] = MISSING
+
+
+@dataclass
+class ConvGcnConfig(ConvModelConfig):
+    """A graph convolutional Q-network over pictures (`conf/model/sdfgcn.yaml` and ablations)."""
+
+    edges: str = MISSING
+    propagation: str = MISSING
+
+
+@dataclass
+class PoseGcnConfig(ModelConfig):
+    """A graph convolutional Q-network over positions (`conf/model/pose_gcn.yaml`)."""
+
+    features: str = MISSING
+    position_unit: float = MISSING
+    channels: list[list[int]] = MISSING
+    hidden: int = MISSING
+    edges: str = MISSING
+    propagation: str = MISSING
+
+
+# What stands behind each option of `conf/model/`; one that is not named has a name only.
+MODEL_CONFIGS: dict[str, type[ModelConfig]] = {
+    "sdfgcn": ConvGcnConfig,
+    "separate": ConvGcnConfig,
+    "segmentation_gcn": ConvGcnConfig,
+    "pose_gcn": PoseGcnConfig,
+    "gt_pose_gcn": PoseGcnConfig,
+    "sdf_cnn": ConvModelConfig,
+}
 
 
 @dataclass
@@ -241,7 +292,11 @@ class Config:
 
 def register_schema() -> None:
     """Tell Hydra the types, so that it refuses an unknown key or a value of the wrong type."""
-    ConfigStore.instance().store(name="schema", node=Config)
+    store = ConfigStore.instance()
+    store.store(name="schema", node=Config)
+    for model in (ConvModelConfig, ConvGcnConfig, PoseGcnConfig):
+        # At the top, not in the group `model`: there Hydra would offer them as options.
+        store.store(name=f"schema_{model.__name__}", node=model)
 
 
 def lookup(registry: Mapping[str, T], key: str, name: str) -> T:

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from omegaconf import DictConfig, OmegaConf
 
-from sdfgcn.config import SPLITS, Config, ObjectsConfig
+from sdfgcn.config import (
+    MODEL_CONFIGS,
+    SPLITS,
+    Config,
+    ConvModelConfig,
+    ModelConfig,
+    ObjectsConfig,
+    PoseGcnConfig,
+    lookup,
+)
 from sdfgcn.errors import SdfgcnError
 
 
@@ -18,7 +27,9 @@ def typed(cfg: DictConfig) -> Config:
     """
     # Hydra's `+key=value` may have added a key that no dataclass has: merging refuses it.
     values = OmegaConf.to_container(cfg, resolve=True)
-    config = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(Config), values))
+    schema = OmegaConf.structured(Config)
+    schema.model = MODEL_CONFIGS.get(cfg.model.name, ModelConfig)
+    config = OmegaConf.to_object(OmegaConf.merge(schema, values))
     assert isinstance(config, Config)
     validate(config)
     return config
@@ -68,6 +79,66 @@ def validate(config: Config) -> None:
     ):
         if value < least:
             raise SdfgcnError(f"{key} is {value}, but must be at least {least}.")
+    validate_model(config.model, env.arena.image_size)
+
+
+def validate_model(model: ModelConfig, image_size: int) -> None:
+    """Check a network's widths against each other and against the picture.
+
+    Args:
+        model: The `model` part of the config.
+        image_size: Height and width of the picture, pixels.
+
+    Raises:
+        SdfgcnError: One sentence that names the key, the value seen and what would work.
+    """
+    if isinstance(model, PoseGcnConfig):
+        _validate_channels("model.channels", model.channels, model.channels)
+        _validate_above_zero(hidden=model.hidden, position_unit=model.position_unit)
+    if not isinstance(model, ConvModelConfig):
+        return
+    width = lookup(model.widths, "model.width", model.width)
+    key = f"model.widths.{model.width}"
+    _validate_channels(f"{key}.channels", width.channels, width.channels)
+    _validate_channels(f"{key}.strides", width.strides, width.channels)
+    _validate_channels(f"{key}.pooling", [width.pooling], [width.channels])
+    _validate_above_zero(
+        **{f"widths.{model.width}.hidden": width.hidden, "sdf_unit": model.sdf_unit}
+    )
+    if conv_sizes(image_size, width.strides, width.pooling)[-1] < 1:
+        raise SdfgcnError(
+            f"{key}.strides {width.strides} and pooling {width.pooling} leave nothing of a picture "
+            f"of env.arena.image_size {image_size}; take smaller ones or a larger picture."
+        )
+
+
+def conv_sizes(image_size: int, strides: list[list[int]], pooling: list[int]) -> list[int]:
+    """Height and width of a picture after each CNN block: padded 3x3 convolutions, then pooling."""
+    sizes = []
+    for block, pool in zip(strides, pooling, strict=True):
+        for stride in block:
+            image_size = (image_size - 1) // stride + 1
+        image_size //= pool
+        sizes.append(image_size)
+    return sizes
+
+
+def _validate_channels(key: str, values: list[list[int]], shape: list[list]) -> None:
+    """Check for whole numbers of at least 1, in as many lists of the same lengths as `shape`."""
+    lengths = [len(block) for block in shape]
+    if not values or [len(block) for block in values] != lengths or min(lengths) < 1:
+        raise SdfgcnError(
+            f"{key} is {values}, but must have an entry for every CNN block and convolution of "
+            f"channels, whose lengths are {lengths}."
+        )
+    if min(min(block) for block in values) < 1:
+        raise SdfgcnError(f"{key} is {values}, but every number must be at least 1.")
+
+
+def _validate_above_zero(**values: float) -> None:
+    for key, value in values.items():
+        if value <= 0:
+            raise SdfgcnError(f"model.{key} is {value}, but must be above 0.")
 
 
 def validate_objects(objects: ObjectsConfig) -> None:

@@ -33,6 +33,7 @@ LAYERS = (
     ("sim",),
     ("perception",),
     ("graph",),
+    ("models",),
     ("envs",),
     ("agents",),
     ("evaluate",),

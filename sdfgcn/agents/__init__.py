@@ -13,11 +13,26 @@ from tensordict import TensorDictBase
 
 from sdfgcn.agents.rule_based import RuleBasedAgent
 from sdfgcn.config import Config, lookup
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.models import Q_NETWORKS
 
 Agent = Callable[[TensorDictBase], TensorDictBase]
 
+
+def untrained(config: Config, rng: np.random.Generator) -> Agent:
+    """Refuse: a Q-network's weights come from training.
+
+    Raises:
+        SdfgcnError: Always.
+    """
+    raise SdfgcnError(
+        f"model.name is '{config.model.name}', which has no trained weights; take model=rule_based."
+    )
+
+
 MODELS: dict[str, Callable[[Config, np.random.Generator], Agent]] = {
     "rule_based": RuleBasedAgent,
+    **dict.fromkeys(Q_NETWORKS, untrained),
 }
 
 

@@ -1,0 +1,110 @@
+"""Layers of the Q-networks: blocks, propagation along edges, the last linear layers.
+
+Propagation is the paper's rule H' = act(D^-1/2 (A + I) D^-1/2 H W) with a convolution (or, for
+positions, a linear layer) as W (section V B). Taken as it reads, `shared`, it cannot solve the
+task. In a complete graph whose n objects all have their goals, every node has n + 1 edges with
+itself, so a current node i gets (sum of all current nodes + its goal) / (n + 1) and forgets which
+of the current ones it was. Two such layers give it the sum over all current nodes of a function of
+their goals, and its own features by way of its goal's node: exchange the goals of two objects, and
+no Q-value changes. `split` is the same rule with weights of its own for the self loop,
+H' = act(D^-1/2 (A H W + I H W_own) D^-1/2), in the way of the authors' code; with W_own = W it is
+the paper's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import torch
+from torch import Generator, Tensor, nn
+from torch.nn.functional import relu
+
+from sdfgcn.config import N_DIRECTIONS, lookup
+from sdfgcn.models.nodes import OccupiedNodes
+
+# Whether the self loop has weights of its own.
+PROPAGATIONS: dict[str, bool] = {"split": True, "shared": False}
+
+
+class Propagation(nn.Module):
+    """One propagation layer, node features in and out with the same number of channels."""
+
+    def __init__(self, layer: Callable[..., nn.Module], propagation: str):
+        """Make the weights.
+
+        Args:
+            layer: Makes a convolution or linear layer, called with `bias`.
+            propagation: "split" or "shared", see the module's text.
+
+        Raises:
+            SdfgcnError: `propagation` is neither of them.
+        """
+        super().__init__()
+        split = lookup(PROPAGATIONS, "model.propagation", propagation)
+        self.weights = layer(bias=True)
+        self.own_weights = layer(bias=False) if split else None
+
+    def forward(self, rows: Tensor, nodes: OccupiedNodes, current_only: bool = False) -> Tensor:
+        """Propagate once.
+
+        Args:
+            rows: [M, ...] features of the occupied nodes.
+            nodes: The graphs that these belong to.
+            current_only: Whether to compute the current picture's nodes alone, as suffices in the
+                last layer.
+
+        Returns:
+            The nodes' new features, the same shape, or the current nodes' [M_current, ...].
+        """
+        mixed = nodes.mix(rows, own=self.own_weights is None)
+        share = nodes.own_share().to(rows.dtype)
+        if current_only:
+            mixed, rows, share = (each[nodes.is_current] for each in (mixed, rows, share))
+        spread = self.weights(mixed)
+        if self.own_weights is not None:
+            spread = spread + self.own_weights(rows * share.reshape(-1, *(1,) * (rows.dim() - 1)))
+        return relu(spread)
+
+
+def conv_block(
+    n_inputs: int, channels: Sequence[int], strides: Sequence[int], pooling: int
+) -> nn.Sequential:
+    """3x3 convolutions with a ReLU after each, then max pooling (paper Fig. 4)."""
+    layers: list[nn.Module] = []
+    for (before, after), stride in zip(pairwise([n_inputs, *channels]), strides, strict=True):
+        layers += [nn.Conv2d(before, after, 3, stride, padding=1), nn.ReLU()]
+    if pooling > 1:
+        layers.append(nn.MaxPool2d(pooling))
+    return nn.Sequential(*layers)
+
+
+def linear_block(n_inputs: int, channels: Sequence[int]) -> nn.Sequential:
+    """Linear layers with a ReLU after each."""
+    layers: list[nn.Module] = []
+    for before, after in pairwise([n_inputs, *channels]):
+        layers += [nn.Linear(before, after), nn.ReLU()]
+    return nn.Sequential(*layers)
+
+
+def q_head(n_inputs: int, hidden: int, n_outputs: int = N_DIRECTIONS) -> nn.Sequential:
+    """Flatten, then two linear layers (paper section V B)."""
+    return nn.Sequential(
+        nn.Flatten(), nn.Linear(n_inputs, hidden), nn.ReLU(), nn.Linear(hidden, n_outputs)
+    )
+
+
+@torch.no_grad()
+def initialise(network: nn.Module, generator: Generator) -> None:
+    """Draw all weights for ReLUs (He et al. 2015), with biases of zero."""
+    for module in network.modules():
+        if isinstance(module, nn.Conv2d | nn.Linear):
+            nn.init.kaiming_normal_(module.weight, nonlinearity="relu", generator=generator)
+            if module.bias is not None:
+                module.bias.zero_()
+    # The sum of two layers' outputs has twice the variance of one.
+    for module in network.modules():
+        if isinstance(module, Propagation) and module.own_weights is not None:
+            module.weights.weight.mul_(math.sqrt(0.5))  # type: ignore[operator]
+            module.own_weights.weight.mul_(math.sqrt(0.5))  # type: ignore[operator]
