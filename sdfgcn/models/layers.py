@@ -64,8 +64,9 @@ class Propagation(nn.Module):
             mixed, rows, share = (each[nodes.is_current] for each in (mixed, rows, share))
         spread = self.weights(mixed)
         if self.own_weights is not None:
-            spread = spread + self.own_weights(rows * share.reshape(-1, *(1,) * (rows.dim() - 1)))
-        return relu(spread)
+            share = share.reshape(-1, *(1,) * (rows.dim() - 1))
+            spread += self.own_weights(rows).mul_(share)
+        return relu(spread, inplace=True)
 
 
 def conv_block(
@@ -74,24 +75,34 @@ def conv_block(
     """3x3 convolutions with a ReLU after each, then max pooling (paper Fig. 4)."""
     layers: list[nn.Module] = []
     for (before, after), stride in zip(pairwise([n_inputs, *channels]), strides, strict=True):
-        layers += [nn.Conv2d(before, after, 3, stride, padding=1), nn.ReLU()]
+        layers += [nn.Conv2d(before, after, 3, stride, padding=1), nn.ReLU(inplace=True)]
     if pooling > 1:
         layers.append(nn.MaxPool2d(pooling))
     return nn.Sequential(*layers)
+
+
+def in_channels_last(block: nn.Module) -> bool:
+    """Whether a block's first convolution keeps its weights with the channels last."""
+    weight = next(block.children()).weight  # TorchRL's losses leave `parameters()` empty
+    assert isinstance(weight, Tensor)
+    return not weight.is_contiguous() and weight.is_contiguous(memory_format=torch.channels_last)
 
 
 def linear_block(n_inputs: int, channels: Sequence[int]) -> nn.Sequential:
     """Linear layers with a ReLU after each."""
     layers: list[nn.Module] = []
     for before, after in pairwise([n_inputs, *channels]):
-        layers += [nn.Linear(before, after), nn.ReLU()]
+        layers += [nn.Linear(before, after), nn.ReLU(inplace=True)]
     return nn.Sequential(*layers)
 
 
 def q_head(n_inputs: int, hidden: int, n_outputs: int = N_DIRECTIONS) -> nn.Sequential:
     """Flatten, then two linear layers (paper section V B)."""
     return nn.Sequential(
-        nn.Flatten(), nn.Linear(n_inputs, hidden), nn.ReLU(), nn.Linear(hidden, n_outputs)
+        nn.Flatten(),
+        nn.Linear(n_inputs, hidden),
+        nn.ReLU(inplace=True),
+        nn.Linear(hidden, n_outputs),
     )
 
 

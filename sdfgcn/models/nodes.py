@@ -51,20 +51,19 @@ class OccupiedNodes:
         self.is_current = ~self.is_goal
         self._here, self._there = here, there
 
-    def gather(self, current: Tensor, goal: Tensor, channels: int = 1) -> Tensor:
+    def gather(self, current: Tensor, goal: Tensor) -> Tensor:
         """Take the occupied nodes' features out of the padded ones.
 
         Args:
             current: [B, N, ...] a feature of the current picture's nodes.
             goal: The same of the goal's.
-            channels: How many channels to make room for; the feature becomes the first.
 
         Returns:
-            [M, channels, ...]; channels beyond the first are not set.
+            [M, ...], memory of its own.
         """
-        rows = current.new_empty(len(self.is_goal), channels, *current.shape[2:])
-        rows[self.is_current, 0] = current[self._here]
-        rows[self.is_goal, 0] = goal[self._there]
+        rows = current.new_empty(len(self.is_goal), *current.shape[2:])
+        rows[self.is_current] = current[self._here]
+        rows[self.is_goal] = goal[self._there]
         return rows
 
     def own_share(self) -> Tensor:

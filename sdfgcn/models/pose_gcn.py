@@ -57,7 +57,7 @@ class PoseGcn(QNetwork):
         """See `QNetwork`."""
         nodes = OccupiedNodes(observation, self._edges)
         here, there = (observation[key] for key in self._keys)
-        positions = nodes.gather(here, there).flatten(1) / self._unit
+        positions = nodes.gather(here, there) / self._unit
         rows = torch.cat([positions, nodes.is_goal.to(positions.dtype).unsqueeze(-1)], dim=-1)
         layers = list(zip(self.blocks, self.propagations, strict=True))
         for block, propagation in layers:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 
+import torch
 from torch import Tensor, nn
 
 from sdfgcn.config import ConvGcnConfig, lookup
 from sdfgcn.graph import EDGES
-from sdfgcn.models.layers import Propagation, conv_block, q_head
+from sdfgcn.models.layers import Propagation, conv_block, in_channels_last, q_head
 from sdfgcn.models.nodes import GRAPH_KEYS, OccupiedNodes
 from sdfgcn.models.pictures import PICTURES
 from sdfgcn.models.q_network import QNetwork, spread_to_slots
@@ -52,9 +53,12 @@ class SdfGcn(QNetwork):
     def action_values(self, observation: Mapping[str, Tensor]) -> Tensor:
         """See `QNetwork`."""
         nodes = OccupiedNodes(observation, self._edges)
-        rows = nodes.gather(observation["sdf"], observation["goal_sdf"], channels=2)
-        self._picture(rows[:, 0], self._unit)
-        rows[:, 1] = nodes.is_goal[:, None, None]
+        picture = nodes.gather(observation["sdf"], observation["goal_sdf"])
+        picture = self._picture(picture, self._unit)
+        label = nodes.is_goal.to(picture.dtype)[:, None, None].expand_as(picture)
+        # Channels last, where the weights are: else each convolution would copy its input twice.
+        dim = -1 if in_channels_last(self.blocks[0]) else 1
+        rows = torch.stack([picture, label], dim).movedim(dim, 1)
         layers = list(zip(self.blocks, self.propagations, strict=True))
         for block, propagation in layers:
             last = propagation is layers[-1][1]

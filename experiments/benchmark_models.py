@@ -1,0 +1,131 @@
+"""What does an update of each Q-network cost? CPU seconds on one thread, and operations a node.
+
+    python experiments/benchmark_models.py                  all networks and widths, 3 objects
+    python experiments/benchmark_models.py batch=64 n_objects=4 repeats=5
+
+An update is that of double DQN: forward and backward on the observations, and two forwards on the
+next ones. Times are this process's CPU time, the least of the repeats, since other processes on the
+machine only ever add to it. Writes `results/benchmark_models.json`.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")
+
+import platform
+import time
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from common import load, parse, save
+from tensordict import TensorDict
+from torch.utils.flop_counter import FlopCounterMode
+from tqdm import tqdm
+
+from sdfgcn.models import build_q_network
+from sdfgcn.models.q_network import QNetwork
+
+# Network, width (None: it has no choice), and the slots and formats to try.
+PLAIN = ((4, "float32"), (4, "channels_last"))
+CASES: list[tuple[str, str | None, tuple[tuple[int, str], ...]]] = [
+    ("sdfgcn", "strided", (*PLAIN, (8, "channels_last"), (4, "bfloat16"))),
+    ("sdfgcn", "fine", PLAIN),
+    ("sdfgcn", "paper", PLAIN),
+    ("separate", "strided", PLAIN),
+    ("segmentation_gcn", "strided", PLAIN),
+    ("pose_gcn", None, ((4, "float32"),)),
+    ("gt_pose_gcn", None, ((4, "float32"),)),
+    ("sdf_cnn", "strided", PLAIN),
+]
+
+
+def observation(n: int, batch: int, n_objects: int, size: int) -> TensorDict:
+    """Random pictures; times do not depend on what they show. Keys as of the environment."""
+    generator = torch.Generator().manual_seed(0)
+    slots = torch.arange(n).expand(batch, n)
+    td = TensorDict({"correspondence": torch.where(slots < n_objects, slots, -1)}, [batch])
+    for prefix in ("", "goal_"):
+        td[prefix + "sdf"] = torch.randn(batch, n, size, size, generator=generator) * 40
+        td[prefix + "node_mask"] = slots < n_objects
+        for key in ("center", "position"):
+            td[prefix + key] = torch.rand(batch, n, 2, generator=generator) - 0.5
+    return td
+
+
+def cpu_ms(function: Callable[[], Any], repeats: int) -> float:
+    """Least CPU time of a call, milliseconds."""
+    function()
+    taken = []
+    for _ in range(repeats):
+        began = time.process_time()
+        function()
+        taken.append(time.process_time() - began)
+    return round(1e3 * min(taken), 1)
+
+
+def measure(network: QNetwork, td: TensorDict, form: str, repeats: int) -> dict[str, float]:
+    """Time one network in one format."""
+    if form == "channels_last":
+        network.to(memory_format=torch.channels_last)
+    low = torch.autocast("cpu", torch.bfloat16, enabled=form == "bfloat16")
+
+    def forward() -> None:
+        with torch.no_grad(), low:
+            network(td)
+
+    def backward() -> None:
+        with low:
+            values = network(td)["action_value"]
+        values.square().mean().backward()
+
+    forward_ms, backward_ms = cpu_ms(forward, repeats), cpu_ms(backward, repeats)
+    return {
+        "forward_ms": forward_ms,
+        "forward_and_backward_ms": backward_ms,
+        "update_ms": round(backward_ms + 2 * forward_ms, 1),
+    }
+
+
+def mflop_a_node(network: QNetwork, td: TensorDict, n_nodes: int) -> float:
+    """Operations of a forward pass (two a multiply-add) by occupied node, millions."""
+    with FlopCounterMode(display=False) as counter, torch.no_grad():
+        network(td)
+    return round(counter.get_total_flops() / n_nodes / 1e6, 2)
+
+
+def main() -> None:
+    own, overrides = parse(sys.argv[1:], {"batch": 32, "n_objects": 3, "repeats": 5})
+    torch.set_num_threads(1)
+    rows = []
+    for name, width, formats in tqdm(CASES, unit="network"):
+        chosen = [f"model={name}", *([f"model.width={width}"] if width else [])]
+        config = load([*chosen, *overrides])
+        size = config.env.arena.image_size
+        for n, form in formats:
+            network = build_q_network(config.model, n, size, 0)
+            td = observation(n, own["batch"], own["n_objects"], size)
+            rows.append(
+                {
+                    "model": name,
+                    "width": width,
+                    "max_objects": n,
+                    "format": form,
+                    "parameters": sum(weights.numel() for weights in network.parameters()),
+                    "mflop_a_node": mflop_a_node(network, td, 2 * own["batch"] * own["n_objects"]),
+                    **measure(network, td, form, own["repeats"]),
+                }
+            )
+            tqdm.write(str(rows[-1]))
+    capability = torch.backends.cpu.get_cpu_capability()
+    machine = {"processor": platform.machine(), "capability": capability, "threads": 1}
+    versions = {"torch": torch.__version__, "python": platform.python_version()}
+    save("benchmark_models", {**own, "machine": machine, "versions": versions, "rows": rows})
+
+
+if __name__ == "__main__":
+    main()
