@@ -1,6 +1,8 @@
 """The Q-networks: shapes and gradients, what must not matter to them, and what must."""
 
 from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -12,6 +14,7 @@ from torchrl.data import Categorical
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss
 
+from sdfgcn.cli import to_sentence
 from sdfgcn.config import N_DIRECTIONS, ConvGcnConfig, ModelConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.models import Q_NETWORKS, build_q_network
@@ -24,12 +27,13 @@ NAMES = sorted(Q_NETWORKS)
 GRAPHS = [name for name in NAMES if name != "sdf_cnn"]
 
 
-def model_config(name: str, *overrides: str) -> ModelConfig:
-    return real_config(f"model={name}", *overrides).model
+def model_config(name: str, **changes: Any) -> ModelConfig:
+    """The real one; what follows on a change is checked where the network is built."""
+    return replace(real_config(f"model={name}").model, **changes)
 
 
-def network(name: str, *overrides: str, n: int = 4, seed: int = 0) -> QNetwork:
-    return build_q_network(model_config(name, *overrides), n, SIZE, seed)
+def network(name: str, n: int = 4, seed: int = 0, **changes: Any) -> QNetwork:
+    return build_q_network(model_config(name, **changes), n, SIZE, seed)
 
 
 def observation(seed: int, n: int = 4, batch: Iterable[int] = (), count: int | None = None):
@@ -163,13 +167,13 @@ def test_bfloat16_and_channels_last(name: str) -> None:
 def test_learns_under_dqn_loss(name: str, double: bool) -> None:
     """Double, delayed, with a mask on the next action: the loss falls on a batch of its own."""
     n = 4
-    td = observation(4, n, (8,))
+    td = observation(4, n, (4,))
     td["action_mask"] = td["node_mask"].repeat_interleave(N_DIRECTIONS, dim=-1)
     td["action"] = td["action_mask"].int().argmax(-1)
-    after = observation(5, n, (8,))
+    after = observation(5, n, (4,))
     after["action_mask"] = after["node_mask"].repeat_interleave(N_DIRECTIONS, dim=-1)
-    after["reward"] = torch.randn(8, 1, generator=torch.Generator().manual_seed(0))
-    after["terminated"] = torch.arange(8).unsqueeze(-1) % 3 == 0
+    after["reward"] = torch.randn(4, 1, generator=torch.Generator().manual_seed(0))
+    after["terminated"] = torch.arange(4).unsqueeze(-1) % 3 == 0
     after["done"] = after["terminated"].clone()
     td["next"] = after
     net = network(name)
@@ -179,12 +183,12 @@ def test_learns_under_dqn_loss(name: str, double: bool) -> None:
     loss.make_value_estimator(gamma=0.5)
     optimiser = torch.optim.Adam(loss.parameters(), lr=1e-3)
     values = []
-    for _ in range(15):
+    for _ in range(10):
         optimiser.zero_grad()
         value = loss(td)["loss"]
         value.backward()
         optimiser.step()
-        values.append(float(value))
+        values.append(value.item())
     assert values[-1] < 0.5 * values[0]
     chosen = actor(td.clone())["action"]
     assert td["action_mask"].gather(-1, chosen.unsqueeze(-1)).all()
@@ -206,9 +210,9 @@ def mixed(td: TensorDict, order: Tensor, goal_order: Tensor) -> TensorDict:
 ORDERS = (torch.tensor([2, 0, 3, 1]), torch.tensor([1, 3, 2, 0]))
 
 
-@pytest.mark.parametrize("overrides", [(), ("model.propagation=shared",)])
-def test_the_order_of_objects_does_not_matter(graph_name: str, overrides: tuple[str, ...]) -> None:
-    td, net = observation(6, 4, (6,)), network(graph_name, *overrides)
+@pytest.mark.parametrize("propagation", PROPAGATIONS)
+def test_the_order_of_objects_does_not_matter(graph_name: str, propagation: str) -> None:
+    td, net = observation(6, 4, (6,)), network(graph_name, propagation=propagation)
     before, after = q_values(net, td), q_values(net, mixed(td, *ORDERS))
     torch.testing.assert_close(after, before[:, ORDERS[0]], atol=1e-6, rtol=1e-4)
     assert not torch.allclose(after, before, atol=1e-3)
@@ -286,7 +290,7 @@ def test_who_depends_on_whom(name: str, goal: bool) -> None:
 def test_whose_goal_is_whose(propagation: str) -> None:
     """Exchanged goals change Q-values, but not with the paper's formula as it reads."""
     td = observation(11, 3, (4,), count=3)
-    net = network("sdfgcn", f"model.propagation={propagation}", n=3)
+    net = network("sdfgcn", propagation=propagation, n=3)
     td["correspondence"][:] = torch.tensor([0, 1, 2])
     before = q_values(net, td)
     td["correspondence"][:] = torch.tensor([1, 0, 2])
@@ -359,7 +363,7 @@ def test_split_with_equal_weights_is_shared() -> None:
 @pytest.mark.parametrize("name", ["sdfgcn", "sdf_cnn"])
 def test_width_by_name(name: str) -> None:
     """Pooling twice by 3 leaves 2x2 pixels of 24x24, the strides 2, 2, 2, 2 leave them as well."""
-    strided, paper = (network(name, f"model.width={width}") for width in ("strided", "paper"))
+    strided, paper = (network(name, width=width) for width in ("strided", "paper"))
     assert sum(isinstance(layer, nn.MaxPool2d) for layer in paper.modules()) == 2
     assert not any(isinstance(layer, nn.MaxPool2d) for layer in strided.modules())
     for net in (strided, paper):
@@ -376,21 +380,49 @@ def test_the_ablations_are_named() -> None:
 
 
 @pytest.mark.parametrize(
-    ("override", "told"),
+    ("changes", "told"),
     [
-        ("model.width=wide", r"model\.width is 'wide', but must be one of fine, paper, strided"),
-        ("model.edges=some", r"model\.edges is 'some'"),
-        ("model.features=colour", r"model\.features is 'colour'"),
-        ("model.propagation=none", r"model\.propagation is 'none'"),
-        ("model.sdf_unit=0", r"model\.sdf_unit is 0\.0, but must be above 0"),
-        ("model.widths.strided.strides=[[1],[1]]", r"strides is \[\[1\], \[1\]\], but must have"),
-        ("model.widths.strided.channels=[[0,1,1],[1,1,1]]", "every number must be at least 1"),
-        ("model.widths.strided.pooling=[9,9]", r"image_size 96; take smaller"),
+        ({"width": "wide"}, r"model\.width is 'wide', but must be one of fine, paper, strided"),
+        ({"edges": "some"}, r"model\.edges is 'some'"),
+        ({"features": "colour"}, r"model\.features is 'colour'"),
+        ({"propagation": "none"}, r"model\.propagation is 'none'"),
+        ({"sdf_unit": 0.0}, r"model\.sdf_unit is 0\.0, but must be above 0"),
     ],
 )
-def test_what_contradicts_itself(override: str, told: str) -> None:
+def test_what_contradicts_itself(changes: dict[str, Any], told: str) -> None:
     with pytest.raises(SdfgcnError, match=told):
-        build_q_network(real_config("model=sdfgcn", override).model, 4, SIZE, 0)
+        network("sdfgcn", **changes)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"strides": [[1], [1]]}, r"strides is \[\[1\], \[1\]\], but must have"),
+        ({"channels": [[0, 1, 1], [1, 1, 1]]}, "every number must be at least 1"),
+        ({"pooling": [1]}, r"pooling is \[\[1\]\], but must have"),
+        ({"pooling": [9, 9]}, "leave nothing of a picture of env.arena.image_size 24"),
+        ({"hidden": 0}, r"model\.widths\.strided\.hidden is 0"),
+    ],
+)
+def test_widths_that_do_not_fit(changes: dict[str, Any], told: str) -> None:
+    widths = {"strided": replace(model_config("sdfgcn").widths["strided"], **changes)}
+    with pytest.raises(SdfgcnError, match=told):
+        network("sdfgcn", widths=widths)
+
+
+def test_a_config_is_typed_by_its_model() -> None:
+    """Unknown keys and wrong types are refused, also where the YAML extends another."""
+    paper = real_config("model=separate", "model.width=paper").model
+    assert isinstance(paper, ConvGcnConfig)
+    assert (paper.width, paper.edges) == ("paper", "separate")
+    for override, told in (
+        ("+model.more=1", "There is no key 'model.more'"),
+        ("model.sdf_unit=far", "model.sdf_unit: Value 'far' of type 'str'"),
+        ("model.width=wide", "model.width is 'wide'"),
+    ):
+        with pytest.raises(Exception) as raised:
+            real_config("model=separate", override)
+        assert told in (to_sentence(raised.value) or "")
 
 
 def test_a_network_that_there_is_not() -> None:
