@@ -1,11 +1,12 @@
 """What does an update of each Q-network cost? CPU seconds on one thread, and operations a node.
 
     python experiments/benchmark_models.py                  all networks and widths, 3 objects
-    python experiments/benchmark_models.py batch=64 n_objects=4 repeats=5
+    python experiments/benchmark_models.py batch=64 n_objects=4 repeats=5 bfloat16=1
 
 An update is that of double DQN: forward and backward on the observations, and two forwards on the
 next ones. Times are this process's CPU time, the least of the repeats, since other processes on the
-machine only ever add to it. Writes `results/benchmark_models.json`.
+machine only ever add to it. Writes `results/benchmark_models.json`. `bfloat16=1` tries autocast
+as well: a chip without instructions for it emulates it and takes ten times as long.
 """
 
 from __future__ import annotations
@@ -99,7 +100,7 @@ def mflop_a_node(network: QNetwork, td: TensorDict, n_nodes: int) -> float:
 
 
 def main() -> None:
-    own, overrides = parse(sys.argv[1:], {"batch": 32, "n_objects": 3, "repeats": 5})
+    own, overrides = parse(sys.argv[1:], {"batch": 32, "n_objects": 3, "repeats": 5, "bfloat16": 0})
     torch.set_num_threads(1)
     rows = []
     for name, width, formats in tqdm(CASES, unit="network"):
@@ -107,6 +108,8 @@ def main() -> None:
         config = load([*chosen, *overrides])
         size = config.env.arena.image_size
         for n, form in formats:
+            if form == "bfloat16" and not own["bfloat16"]:
+                continue
             network = build_q_network(config.model, n, size, 0)
             td = observation(n, own["batch"], own["n_objects"], size)
             rows.append(
