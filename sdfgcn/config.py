@@ -250,6 +250,80 @@ class EvalConfig:
     name: str = MISSING
     episodes: int = MISSING
     split: str = MISSING
+    epsilon: float = MISSING
+    break_loops: bool = MISSING
+
+
+@dataclass
+class BudgetConfig:
+    """How long a Q-network is trained (`conf/budget/`)."""
+
+    name: str = MISSING
+    pushes: int = MISSING
+    minutes: float | None = None
+    epsilon_pushes: int = MISSING
+
+
+@dataclass
+class CollectorConfig:
+    """Who pushes while a Q-network learns (`conf/collector/`)."""
+
+    name: str = MISSING
+    workers: int = MISSING
+    pushes_per_batch: int = MISSING
+
+
+@dataclass
+class CurriculumConfig:
+    """How many objects a training episode has (`conf/curriculum/`)."""
+
+    name: str = MISSING
+    counts: list[int] = field(default_factory=list)
+    window: int = 0
+    bar: float = 0.0
+    newest_share: float = 0.0
+
+
+@dataclass
+class HerConfig:
+    """Hindsight experience replay (`conf/her/`)."""
+
+    name: str = MISSING
+    moved: float = 0.0
+    per_push: int = 0
+
+
+@dataclass
+class AugmentConfig:
+    """Augmentation of sampled transitions (`conf/augment/`)."""
+
+    name: str = MISSING
+    probability: float = 0.0
+
+
+@dataclass
+class TrainConfig:
+    """How a Q-network learns (`conf/train/`)."""
+
+    name: str = MISSING
+    split: str = MISSING
+    pushes_per_object: int = MISSING
+    discount: float = MISSING
+    learning_rate: float = MISSING
+    loss: str = MISSING
+    max_gradient_norm: float = MISSING
+    batch_size: int = MISSING
+    replay_capacity: int = MISSING
+    learning_starts: int = MISSING
+    target_interval: int = MISSING
+    updates_per_push: float = MISSING
+    max_updates_per_push: float = MISSING
+    epsilon_start: float = MISSING
+    epsilon_end: float = MISSING
+    sdf_cache: int = MISSING
+    log_pushes: int = MISSING
+    checkpoint_minutes: float = MISSING
+    robot: RobotConfig = field(default_factory=RobotConfig)
 
 
 @dataclass
@@ -274,6 +348,8 @@ class RuntimeConfig:
     name: str = MISSING
     workers: int = MISSING
     torch_threads: int = MISSING
+    device: str = MISSING
+    precision: str = MISSING
 
 
 @dataclass
@@ -282,8 +358,15 @@ class Config:
 
     seed: int = MISSING
     n_objects: int = MISSING
+    checkpoint: str | None = None
     env: EnvConfig = field(default_factory=EnvConfig)
     model: ModelConfig = field(default_factory=ModelConfig)
+    train: TrainConfig = field(default_factory=TrainConfig)
+    budget: BudgetConfig = field(default_factory=BudgetConfig)
+    collector: CollectorConfig = field(default_factory=CollectorConfig)
+    curriculum: CurriculumConfig = field(default_factory=CurriculumConfig)
+    her: HerConfig = field(default_factory=HerConfig)
+    augment: AugmentConfig = field(default_factory=AugmentConfig)
     eval: EvalConfig = field(default_factory=EvalConfig)
     logger: LoggerConfig = field(default_factory=LoggerConfig)
     viz: VizConfig = field(default_factory=VizConfig)

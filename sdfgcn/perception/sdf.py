@@ -8,6 +8,7 @@ transform is an alternative at a third of the time. `SDF_METHODS` maps the value
 from __future__ import annotations
 
 import functools
+from collections import OrderedDict
 from collections.abc import Callable
 
 import numpy as np
@@ -63,10 +64,9 @@ def signed_distance(mask: NDArray[np.bool_], method: str = "fmm") -> NDArray[np.
         SdfgcnError: There is no such method.
     """
     mask = np.ascontiguousarray(mask, dtype=bool)
-    return _distance(np.packbits(mask).tobytes(), mask.shape, method)
+    return _distance_cached(np.packbits(mask).tobytes(), mask.shape, method)
 
 
-@functools.lru_cache(maxsize=512)
 def _distance(packed: bytes, shape: tuple[int, int], method: str) -> NDArray[np.float32]:
     distance = lookup(SDF_METHODS, "env.perception.sdf", method)
     count = shape[0] * shape[1]
@@ -80,6 +80,48 @@ def _distance(packed: bytes, shape: tuple[int, int], method: str) -> NDArray[np.
         field = distance(mask).astype(np.float32)
     field.flags.writeable = False
     return field
+
+
+_distance_cached = functools.lru_cache(maxsize=512)(_distance)
+
+
+class SdfCache:
+    """Signed distance fields of packed masks, for a replay buffer: the most recently used ones.
+
+    Half precision: under 0.13 pixels off in a 96-pixel picture, under 0.001 near the contour.
+    """
+
+    def __init__(self, size: int, shape: tuple[int, int], method: str) -> None:
+        """Make an empty cache.
+
+        Args:
+            size: How many fields it keeps.
+            shape: H and W of every mask.
+            method: A key of `SDF_METHODS`.
+        """
+        self._size = size
+        self._shape = shape
+        self._method = method
+        self._fields: OrderedDict[bytes, NDArray[np.float16]] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._fields)
+
+    def put(self, packed: bytes, field: NDArray[np.float32]) -> None:
+        """Keep the [H, W] field of a mask, packed as by `numpy.packbits`."""
+        if packed not in self._fields:
+            self._fields[packed] = field.astype(np.float16)
+            if len(self._fields) > self._size:
+                self._fields.popitem(last=False)
+        else:
+            self._fields.move_to_end(packed)
+
+    def get(self, packed: bytes) -> NDArray[np.float16]:
+        """[H, W] the field of a packed mask; worked out where it is not kept."""
+        if packed not in self._fields:
+            self.put(packed, _distance(packed, self._shape, self._method))
+        self._fields.move_to_end(packed)
+        return self._fields[packed]
 
 
 def signed_distances(masks: NDArray[np.bool_], method: str = "fmm") -> NDArray[np.float32]:

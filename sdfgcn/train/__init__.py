@@ -1,0 +1,1 @@
+"""Training Q-networks: double DQN with hindsight, actors and learner apart."""

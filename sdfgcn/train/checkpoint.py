@@ -1,0 +1,87 @@
+"""Checkpoints of a training: one archive, replaced in one step, that holds all that is needed.
+
+Network, target network, optimiser, replay buffer, the state of the actors and of every random
+generator, counters, and the config that they belong to.
+"""
+
+from __future__ import annotations
+
+import shutil
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from torchrl.checkpoint import Checkpoint, CheckpointError, GlobalRNGState
+
+from sdfgcn.errors import SdfgcnError
+
+NAME = "checkpoint.zip"
+
+
+def save_checkpoint(path: Path, parts: Mapping[str, Any], config: Mapping[str, Any]) -> None:
+    """Write a checkpoint; the one before stays until this one is whole.
+
+    Args:
+        path: The archive.
+        parts: What is kept, by name: things with a `state_dict` or, like replay buffers, `dumps`.
+        config: The config that it belongs to, as JSON knows it.
+    """
+    # TorchRL moves the old archive away first: killed just then, there would be none.
+    new = path.with_name(f"new-{path.name}")
+    for left in (*path.parent.glob(f".{new.name}.*"), new):  # of a process that was killed
+        _remove(left)
+    _registered(parts).save(new, metadata={"config": config})
+    new.replace(path)
+
+
+def checkpoint_config(path: Path) -> dict[str, Any]:
+    """The config that a checkpoint belongs to.
+
+    Raises:
+        SdfgcnError: The file is no such checkpoint.
+    """
+    try:
+        return dict(Checkpoint.manifest(path)["metadata"]["config"])
+    except Exception as error:
+        raise _unreadable(path) from error
+
+
+def load_checkpoint(path: Path, parts: Mapping[str, Any]) -> None:
+    """Restore every part of a checkpoint.
+
+    Args:
+        path: The archive.
+        parts: As for `save_checkpoint`; not to be used if this raises.
+
+    Raises:
+        SdfgcnError: The file is damaged, or not of such a training.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            if archive.testzip() is not None:
+                raise CheckpointError("wrong checksum")
+        _registered(parts).load(path)
+    except Exception as error:  # whatever a damaged archive makes its readers raise
+        raise _unreadable(path) from error
+
+
+def _registered(parts: Mapping[str, Any]) -> Checkpoint:
+    # All of them or none: a part that is missing is an error.
+    checkpoint = Checkpoint(format="archive", archive_compression="deflate", strict="error")
+    for name, part in {**parts, "rng": GlobalRNGState()}.items():
+        checkpoint.register(name, part)
+    return checkpoint
+
+
+def _unreadable(path: Path) -> SdfgcnError:
+    return SdfgcnError(
+        f"{path} is damaged or no checkpoint of such a training; remove it to train anew, or use "
+        "another hydra.run.dir."
+    )
+
+
+def _remove(path: Path) -> None:
+    shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
+
+

@@ -1,0 +1,81 @@
+"""How many objects the next training episode has (`curriculum=`; paper section VI C)."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from sdfgcn.config import CurriculumConfig
+
+
+class Counts:
+    """Draws the number of objects of an episode, in whichever process plays it.
+
+    `reached` says how many of the counts are open, in memory that all processes share: the
+    learner opens the next one for all actors at once.
+    """
+
+    def __init__(self, curriculum: CurriculumConfig, n_objects: int) -> None:
+        """Open the counts that a training begins with.
+
+        Args:
+            curriculum: The config.
+            n_objects: The count without a curriculum.
+        """
+        self.counts = tuple(curriculum.counts) or (n_objects,)
+        grows = curriculum.name == "on"
+        self._newest_share = curriculum.newest_share if grows else 0.0
+        self.reached: Tensor = torch.tensor([1 if grows else len(self.counts)]).share_memory_()
+
+    @property
+    def newest(self) -> int:
+        """The largest count that is open."""
+        return self.counts[int(self.reached) - 1]
+
+    def draw(self, rng: np.random.Generator) -> int:
+        """The number of objects of the next episode."""
+        *earlier, newest = self.counts[: int(self.reached)]
+        if self._newest_share > 0.0:
+            if not earlier or rng.random() < self._newest_share:
+                return newest
+            return int(rng.choice(earlier))
+        return int(rng.choice([*earlier, newest]))
+
+
+class Curriculum:
+    """Opens the next count once the newest is mastered (the learner's part)."""
+
+    def __init__(self, config: CurriculumConfig, counts: Counts) -> None:
+        self._config = config
+        self._counts = counts
+        self._recent: deque[bool] = deque(maxlen=max(config.window, 1))
+
+    def episode_ended(self, n_objects: int, success: bool) -> None:
+        """Take an episode's end; only those at the newest count tell."""
+        counts = self._counts
+        if int(counts.reached) == len(counts.counts) or n_objects != counts.newest:
+            return
+        self._recent.append(success)
+        full = len(self._recent) == self._config.window
+        if full and np.mean(self._recent) > self._config.bar:
+            counts.reached += 1
+            self._recent.clear()
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a checkpoint keeps."""
+        return {"reached": int(self._counts.reached), "recent": list(map(int, self._recent))}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what a checkpoint kept."""
+        self._counts.reached.fill_(int(state["reached"]))
+        self._recent.clear()
+        self._recent.extend(map(bool, _numbers(state["recent"])))
+
+
+def _numbers(values: Iterable[Any]) -> list[int]:
+    return [int(value) for value in values]

@@ -1,0 +1,188 @@
+"""Double DQN (paper sections III A and V C): network, target network, loss and optimiser."""
+
+from __future__ import annotations
+
+import copy
+import time
+from contextlib import nullcontext
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torchrl.data import Categorical
+from torchrl.modules import EGreedyModule, QValueActor
+from torchrl.objectives import DQNLoss, HardUpdate
+
+from sdfgcn.config import N_DIRECTIONS, TrainConfig, lookup
+from sdfgcn.errors import SdfgcnError
+
+PRECISIONS = {"float32": None, "bfloat16": torch.bfloat16}
+TRIALS = 3  # updates that are timed for each precision
+
+
+class Learner:
+    """Holds everything that an update changes."""
+
+    def __init__(
+        self, network: TensorDictModuleBase, n_objects: int, train: TrainConfig, device: str
+    ) -> None:
+        """Wrap a Q-network for learning.
+
+        Args:
+            network: Sets `action_value` [*B, n_objects * 8]; it is trained in place.
+            n_objects: Slots of an observation.
+            train: The learning's numbers.
+            device: Where to compute.
+
+        Raises:
+            SdfgcnError: There is no such device.
+        """
+        if device.startswith("cuda") and not torch.cuda.is_available():
+            raise SdfgcnError(
+                f"runtime.device is '{device}', but torch sees no such GPU; use runtime=cpu."
+            )
+        self._train = train
+        self._device = torch.device(device)
+        self.network = network.to(self._device)
+        self.precision = "float32"
+        self._loss = DQNLoss(
+            q_actor(network, n_objects),
+            loss_function=train.loss,
+            double_dqn=True,
+            delay_value=True,
+            action_space="categorical",
+        )
+        self._loss.make_value_estimator(gamma=train.discount)
+        self._loss.to(self._device)
+        # TorchRL's counter fires one step after the interval.
+        self._target = HardUpdate(
+            self._loss, value_network_update_interval=train.target_interval - 1
+        )
+        self._parameters = list(self._loss.value_network_params.flatten_keys().values())
+        self._optimiser = torch.optim.Adam(self._loss.parameters(), lr=train.learning_rate)
+        self.updates = 0
+
+    def update(self, batch: TensorDictBase) -> dict[str, float]:
+        """Learn from [B] transitions.
+
+        Returns:
+            `loss`, and `q` the mean value of the pushes taken.
+        """
+        batch = batch.to(self._device)
+        loss = self._loss_of(batch)
+        self._optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self._train.max_gradient_norm)
+        self._optimiser.step()
+        self._target.step()
+        self.updates += 1
+        return {"loss": float(loss.detach())}
+
+    def choose_precision(self, wanted: str, batch: TensorDictBase) -> str:
+        """Set the precision; `auto` times both on copies of this learner and takes the faster.
+
+        Args:
+            wanted: "float32", "bfloat16" or "auto".
+            batch: [B] transitions to try.
+
+        Returns:
+            The one that was taken.
+        """
+        if wanted == "auto":
+            wanted = min(PRECISIONS, key=lambda name: self._seconds(name, batch))
+        lookup(PRECISIONS, "runtime.precision", wanted)
+        self.precision = wanted
+        return wanted
+
+    def _seconds(self, precision: str, batch: TensorDictBase) -> float:
+        trial = copy.deepcopy(self)
+        trial.precision = precision
+        trial.update(batch)  # the first allocates
+        clock = time.perf_counter()
+        for _ in range(TRIALS):
+            trial.update(batch)
+        return time.perf_counter() - clock
+
+    def _loss_of(self, batch: TensorDictBase) -> torch.Tensor:
+        dtype = PRECISIONS[self.precision]
+        cast = nullcontext() if dtype is None else torch.autocast(self._device.type, dtype)
+        with cast:
+            return self._loss(batch)["loss"]
+
+    def state_dict(self) -> dict[str, Any]:
+        """Network, target network, optimiser and counters, for a checkpoint."""
+        return {
+            "loss": self._loss.state_dict(),
+            "optimiser": self._optimiser.state_dict(),
+            "updates": self.updates,
+            "precision": self.precision,
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what a checkpoint kept."""
+        self._loss.load_state_dict(state["loss"])
+        self._optimiser.load_state_dict(state["optimiser"])
+        self.updates = int(state["updates"])
+        self.precision = state["precision"]
+        self._target.counter = self.updates % self._train.target_interval
+
+
+def q_actor(network: TensorDictModuleBase, n_objects: int) -> QValueActor:
+    """A network as a greedy policy over the legal actions."""
+    return QValueActor(
+        module=network,
+        spec=Categorical(n_objects * N_DIRECTIONS, shape=(), dtype=torch.int64),
+        action_space="categorical",
+        action_mask_key="action_mask",
+    )
+
+
+class Explorer:
+    """The actors' policy: a copy of the network on the CPU, greedy but for a falling epsilon."""
+
+    def __init__(
+        self,
+        network: TensorDictModuleBase,
+        n_objects: int,
+        train: TrainConfig,
+        epsilon_pushes: int,
+    ) -> None:
+        """Copy the network.
+
+        Args:
+            network: The learner's.
+            n_objects: Slots of an observation.
+            train: The first and last epsilon.
+            epsilon_pushes: Pushes over which it falls.
+        """
+        self._network = copy.deepcopy(network).cpu().requires_grad_(False)
+        self._greedy = EGreedyModule(
+            spec=Categorical(n_objects * N_DIRECTIONS, shape=(), dtype=torch.int64),
+            eps_init=train.epsilon_start,
+            eps_end=train.epsilon_end,
+            annealing_num_steps=epsilon_pushes,
+            action_mask_key="action_mask",
+        )
+        self.policy = TensorDictSequential(q_actor(self._network, n_objects), self._greedy)
+
+    @property
+    def epsilon(self) -> float:
+        """The share of random pushes now."""
+        return float(self._greedy.eps)
+
+    def follow(self, network: TensorDictModuleBase) -> None:
+        """Take over the learner's weights."""
+        self._network.load_state_dict(network.state_dict())
+
+    def pushed(self, pushes: int) -> None:
+        """Let epsilon fall by so many pushes."""
+        self._greedy.step(pushes)
+
+    def state_dict(self) -> dict[str, Any]:
+        """The policy with its epsilon, for a checkpoint."""
+        return dict(self.policy.state_dict())
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what a checkpoint kept."""
+        self.policy.load_state_dict(state)
