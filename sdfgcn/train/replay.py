@@ -7,6 +7,7 @@ megabytes in a compressed checkpoint.
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -103,7 +104,26 @@ def build_replay(config: Config) -> ReplayBuffer:
         sampler=RandomSampler(),
         batch_size=config.train.batch_size,
     )
+    filled = _Filled(replay)
+    replay.register_save_hook(filled.cut)
+    replay.register_load_hook(filled.padded)
     replay.append_transform(PackMasks(cache, size))
     if config.augment.name == "mirror":
         replay.append_transform(MirrorTransform(config.augment.probability))
     return replay
+
+
+class _Filled:
+    """Lets a checkpoint hold the filled part of a buffer alone."""
+
+    def __init__(self, replay: ReplayBuffer) -> None:
+        self._replay = replay
+
+    def cut(self, data: TensorDictBase, path: Path) -> TensorDictBase:
+        return data[: len(self._replay)]
+
+    def padded(self, data: TensorDictBase, out: TensorDictBase | None) -> TensorDictBase:
+        capacity = self._replay.storage.max_size
+        whole = data[:1].expand(capacity).clone()
+        whole[: len(data)] = data
+        return whole
