@@ -251,7 +251,7 @@ class EvalConfig:
     episodes: int = MISSING
     split: str = MISSING
     epsilon: float = MISSING
-    break_loops: bool = MISSING
+    loop_distance: float | None = None
 
 
 @dataclass

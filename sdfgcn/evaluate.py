@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing.synchronize import Event
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from tqdm import tqdm
 
-from sdfgcn.config import Config, EnvConfig
+from sdfgcn.config import N_DIRECTIONS, Config, EnvConfig
 from sdfgcn.episodes import Episode
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.loggers import Logger
@@ -32,6 +32,7 @@ from sdfgcn.loggers import Logger
 # What loads torch is imported where it is used: the main process of parallel workers needs none.
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
+    from torch import Tensor
 
     from sdfgcn.agents import Agent
     from sdfgcn.envs.types import EpisodeStart, StepRecord
@@ -192,11 +193,13 @@ def play_episode(
     while not done:
         if stopped():
             raise EpisodeStoppedError
-        td = env.step(agent(td))["next"]
+        chosen = agent(td)
+        values = chosen.get("action_value", None)
+        td = env.step(chosen)["next"]
         total_reward += float(td["reward"])
         done = bool(td["done"])
         if recorder is not None:
-            recorder.step(env.last_step)
+            recorder.step(_with_values(env.last_step, values))
     last, objects = env.last_step, env.episode_start.objects
     return Episode(
         episode=episode,
@@ -211,6 +214,13 @@ def play_episode(
         return_=round(total_reward, 6),
         wall_s=round(time.monotonic() - clock, 3),
     )
+
+
+def _with_values(step: StepRecord, values: Tensor | None) -> StepRecord:
+    """The step with the agent's action values, [N * 8], if it has any."""
+    if values is None:
+        return step
+    return replace(step, q_values=values.reshape(-1, N_DIRECTIONS).numpy())
 
 
 class _Player:

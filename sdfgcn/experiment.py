@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import json
+from dataclasses import asdict, replace
 from typing import Any
 
-from sdfgcn.config import Config, lookup
+from sdfgcn.config import MODEL_CONFIGS, Config, lookup
 from sdfgcn.evaluate import Evaluation, evaluate, watch
-from sdfgcn.loggers import LOGGERS
+from sdfgcn.loggers import LOGGERS, Logger
 from sdfgcn.opengl import check_opengl
 from sdfgcn.results import summarise
 from sdfgcn.runs import RunFolder
@@ -14,7 +16,7 @@ from sdfgcn.viz import RECORDERS
 
 
 def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
-    """Play the episodes that the folder lacks, and write the results over all of them.
+    """Train if the model is to be trained, play the missing episodes, write the results of all.
 
     Args:
         config: The whole experiment.
@@ -30,15 +32,42 @@ def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
     from sdfgcn.objects.catalogue import load_catalogue  # loads MuJoCo: it fails without OpenGL
 
     load_catalogue(config.env.objects, config.env.split)  # once, before workers would each do it
+    logger = lookup(LOGGERS, "logger.name", config.logger.name)(folder.path)
+    if config.model.name in MODEL_CONFIGS:
+        config = with_policy(config, folder, logger)
     evaluation = Evaluation(
         config,
         folder.path / "recordings",
         lookup(RECORDERS, "viz.name", config.viz.name),
     )
-    logger = lookup(LOGGERS, "logger.name", config.logger.name)(folder.path)
     finished = folder.finished
     missing = evaluate(evaluation, {episode.episode for episode in finished})
     episodes = folder.keep(watch(missing, finished, config.eval.episodes, logger))
     results = summarise(config, episodes, folder.wall_s)
     folder.write_results(results)
     return results
+
+
+def with_policy(config: Config, folder: RunFolder, logger: Logger) -> Config:
+    """The config with the checkpoint that a Q-network is evaluated from; trained if there is none.
+
+    Args:
+        config: The whole experiment.
+        folder: The run folder, held open; a trained policy goes into its folder `policy`.
+        logger: Takes the training's figures.
+
+    Raises:
+        SdfgcnError: The checkpoint given is no policy; or see `sdfgcn.train.loop.train`.
+    """
+    from sdfgcn.agents.policy import find_policy  # loads torch
+
+    if config.checkpoint is not None:
+        return replace(config, checkpoint=str(find_policy(config.checkpoint)))
+    policy = folder.path / "policy"
+    about = policy / "policy.json"
+    budget = asdict(config.budget)
+    if not about.exists() or json.loads(about.read_text(encoding="utf-8"))["budget"] != budget:
+        from sdfgcn.train.loop import train_policy
+
+        train_policy(config, folder.path, policy, logger)
+    return replace(config, checkpoint=str(policy))

@@ -36,6 +36,7 @@ LAYERS = (
     ("models",),
     ("envs",),
     ("agents",),
+    ("train",),
     ("evaluate",),
     ("results", "viz"),
     ("experiment",),
@@ -112,7 +113,7 @@ def loaded_with(path: Path) -> set[str]:
 def test_imports_nothing_higher(path: Path) -> None:
     own = module_name(path).split(".")
     if own == ["sdfgcn"]:
-        assert not imports_anywhere(path)
+        assert not imports_on_loading(path)
         return
     rank = RANK[own[1]]
     used = {name.split(".")[1] for name in imports_anywhere(path) if name.startswith("sdfgcn.")}
@@ -151,7 +152,7 @@ def test_every_group_has_an_option_that_is_the_default() -> None:
     defaults = {}
     for entry in OmegaConf.load(CONF / "config.yaml").defaults:
         if OmegaConf.is_dict(entry):
-            defaults.update(entry)
+            defaults.update({key.partition("@")[0]: entry[key] for key in entry if "@" not in key})
     assert set(defaults.items()) <= set(OPTIONS)
     assert set(defaults) == {group for group, _ in OPTIONS}
 

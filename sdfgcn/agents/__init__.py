@@ -11,6 +11,8 @@ from collections.abc import Callable
 import numpy as np
 from tensordict import TensorDictBase
 
+from sdfgcn.agents.policy import load_network
+from sdfgcn.agents.q_agent import QAgent
 from sdfgcn.agents.rule_based import RuleBasedAgent
 from sdfgcn.config import Config, lookup
 from sdfgcn.errors import SdfgcnError
@@ -19,20 +21,28 @@ from sdfgcn.models import Q_NETWORKS
 Agent = Callable[[TensorDictBase], TensorDictBase]
 
 
-def untrained(config: Config, rng: np.random.Generator) -> Agent:
-    """Refuse: a Q-network's weights come from training.
+def q_agent(config: Config, rng: np.random.Generator) -> Agent:
+    """Build the agent of a trained Q-network.
 
     Raises:
-        SdfgcnError: Always.
+        SdfgcnError: `config.checkpoint` names no weights of this model.
     """
-    raise SdfgcnError(
-        f"model.name is '{config.model.name}', which has no trained weights; take model=rule_based."
-    )
+    if config.checkpoint is None:
+        raise SdfgcnError(
+            f"model.name is '{config.model.name}', which needs trained weights: give checkpoint=..."
+        )
+    network, about = load_network(config.checkpoint)
+    if about["model"]["name"] != config.model.name:
+        raise SdfgcnError(
+            f"checkpoint={config.checkpoint} holds weights of model={about['model']['name']}, but "
+            f"model.name is '{config.model.name}'."
+        )
+    return QAgent(network, rng, config.eval.epsilon, config.eval.loop_distance)
 
 
 MODELS: dict[str, Callable[[Config, np.random.Generator], Agent]] = {
     "rule_based": RuleBasedAgent,
-    **dict.fromkeys(Q_NETWORKS, untrained),
+    **dict.fromkeys(Q_NETWORKS, q_agent),
 }
 
 

@@ -83,5 +83,3 @@ def _unreadable(path: Path) -> SdfgcnError:
 
 def _remove(path: Path) -> None:
     shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)
-
-

@@ -11,11 +11,15 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from tensordict.nn import TensorDictModuleBase
 
+from sdfgcn.agents.policy import save_policy
 from sdfgcn.config import Config
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.loggers import Logger
+from sdfgcn.models import Q_NETWORKS, build_q_network
+from sdfgcn.models.q_network import QNetwork
+from sdfgcn.models.sdf_cnn import SdfCnn
+from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.train.actors import Actors, build_actors, training_env
 from sdfgcn.train.checkpoint import NAME, checkpoint_config, load_checkpoint, save_checkpoint
 from sdfgcn.train.curriculum import Counts, Curriculum
@@ -25,7 +29,7 @@ from sdfgcn.train.progress import Progress
 from sdfgcn.train.replay import build_replay, transitions
 
 # Builds a network from the whole config and the number of slots that it is trained with.
-BuildNetwork = Callable[[Config, int], TensorDictModuleBase]
+BuildNetwork = Callable[[Config, int], QNetwork]
 
 # Parts of the config that change what is learned; the rest may differ when a training goes on.
 _LEARNING = ("seed", "n_objects", "env", "model", "train", "curriculum", "her", "augment")
@@ -35,9 +39,7 @@ _FREE = {
 }
 
 
-def train(
-    config: Config, folder: Path, logger: Logger, build_network: BuildNetwork
-) -> TensorDictModuleBase:
+def train(config: Config, folder: Path, logger: Logger, build_network: BuildNetwork) -> QNetwork:
     """Train a Q-network; where the folder holds a checkpoint, go on from it.
 
     Torch's own random state is left as it was.
@@ -65,6 +67,34 @@ def train(
                 return training.network.cpu()
         finally:
             torch.set_num_threads(threads)
+
+
+def train_policy(config: Config, folder: Path, policy: Path, logger: Logger) -> None:
+    """Train the Q-network that the config names, and write it as a policy.
+
+    Args:
+        config: The whole experiment.
+        folder: The run folder.
+        policy: Where the policy goes.
+        logger: Takes running figures.
+
+    Raises:
+        SdfgcnError: See `train`.
+    """
+    load_catalogue(config.env.objects, config.train.split)  # before actors would each do it
+    network = train(config, folder, logger, q_network)
+    slots = training_slots(config, Counts(config.curriculum, config.n_objects))
+    about = {
+        "budget": asdict(config.budget),
+        "seed": config.seed,
+        "training": learning_config(config),
+    }
+    save_policy(policy, network, config.model, slots, config.env.arena.image_size, about)
+
+
+def q_network(config: Config, max_objects: int) -> QNetwork:
+    """The untrained network that the config names."""
+    return build_q_network(config.model, max_objects, config.env.arena.image_size, config.seed)
 
 
 class Training:
@@ -195,7 +225,8 @@ class _Kept(dict):
 
 def training_slots(config: Config, counts: Counts) -> int:
     """To how many objects observations are padded: no more than needed, where the model allows."""
-    return max(counts.counts)
+    fixed = Q_NETWORKS[config.model.name] is SdfCnn
+    return config.env.max_objects if fixed else max(counts.counts)
 
 
 def learning_config(config: Config) -> dict[str, Any]:
@@ -230,5 +261,7 @@ def check_same_learning(path: Path, config: Config) -> None:
 def _flat(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for key, value in values.items():
-        flat |= _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+        flat |= (
+            _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+        )
     return flat

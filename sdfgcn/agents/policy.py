@@ -1,0 +1,134 @@
+"""Trained Q-networks as files: weights (safetensors) and what they belong to (JSON).
+
+A policy is a folder with `weights.safetensors` and `policy.json`: one that a run wrote, or one of
+the released ones in `sdfgcn/weights/`. No part of it needs Hydra.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from omegaconf import OmegaConf
+from safetensors.torch import load_file, save_file
+
+from sdfgcn.agents.q_agent import QAgent
+from sdfgcn.config import MODEL_CONFIGS, ModelConfig, lookup
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import write_json
+from sdfgcn.models import build_q_network
+from sdfgcn.models.q_network import QNetwork
+
+WEIGHTS = "weights.safetensors"
+ABOUT = "policy.json"
+RELEASED = Path(__file__).resolve().parents[1] / "weights"
+
+
+def save_policy(
+    folder: Path,
+    network: QNetwork,
+    model: ModelConfig,
+    max_objects: int,
+    image_size: int,
+    about: Mapping[str, Any],
+) -> None:
+    """Write a policy; `policy.json` comes last, so that a folder that has it is whole.
+
+    Args:
+        folder: Where; made if needed.
+        network: Its weights are written.
+        model: What `network` was built from.
+        max_objects: Slots that it was built with.
+        image_size: Height and width of its pictures, pixels.
+        about: How it was trained, as JSON knows it.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / ABOUT).unlink(missing_ok=True)
+    part = folder / f".{WEIGHTS}.part"
+    save_file({name: value.contiguous() for name, value in network.state_dict().items()}, part)
+    part.replace(folder / WEIGHTS)
+    kind = {"model": asdict(model), "max_objects": max_objects, "image_size": image_size}
+    write_json(folder / ABOUT, {**kind, **about})
+
+
+def find_policy(checkpoint: str | Path) -> Path:
+    """The folder of a policy.
+
+    Args:
+        checkpoint: The name of a released one, a policy's folder, or a run folder that has one.
+
+    Raises:
+        SdfgcnError: There is none.
+    """
+    for folder in (RELEASED / checkpoint, Path(checkpoint), Path(checkpoint) / "policy"):
+        if (folder / ABOUT).is_file():
+            return folder
+    released = sorted(path.parent.name for path in RELEASED.glob(f"*/{ABOUT}"))
+    raise SdfgcnError(
+        f"checkpoint is '{checkpoint}', but there is no policy ({ABOUT}) in that folder or in its "
+        f"folder policy, and the released ones are: {', '.join(released) or 'none'}."
+    )
+
+
+def load_network(checkpoint: str | Path) -> tuple[QNetwork, dict[str, Any]]:
+    """Build a trained network from its files.
+
+    Args:
+        checkpoint: As for `find_policy`.
+
+    Returns:
+        The network, on the CPU, and the content of `policy.json`. They are shared by all callers.
+
+    Raises:
+        SdfgcnError: There is no such policy, or its files are damaged.
+    """
+    folder = find_policy(checkpoint).resolve()
+    return _load(folder, (folder / WEIGHTS).stat().st_mtime_ns if _whole(folder) else 0)
+
+
+def load_policy(
+    checkpoint: str | Path,
+    epsilon: float = 0.0,
+    loop_distance: float | None = 0.005,
+    seed: int = 0,
+) -> QAgent:
+    """A trained policy, ready to be called with observations; needs no Hydra.
+
+    Args:
+        checkpoint: The name of a released one, a policy's folder, or a run folder that has one.
+        epsilon: Share of random pushes.
+        loop_distance: Two states count as the same where no object's centre is further apart,
+            metres; a push is not taken twice in one. None: it may be.
+        seed: Of the random pushes.
+
+    Raises:
+        SdfgcnError: There is no such policy, or its files are damaged.
+    """
+    network, _ = load_network(checkpoint)
+    return QAgent(network, np.random.default_rng(seed), epsilon, loop_distance)
+
+
+def _whole(folder: Path) -> bool:
+    return (folder / WEIGHTS).is_file()
+
+
+@lru_cache(maxsize=4)
+def _load(folder: Path, written: int) -> tuple[QNetwork, dict[str, Any]]:
+    try:
+        about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+        schema = OmegaConf.structured(lookup(MODEL_CONFIGS, "model.name", about["model"]["name"]))
+        model = OmegaConf.to_object(OmegaConf.merge(schema, about["model"]))
+        assert isinstance(model, ModelConfig)
+        network = build_q_network(model, about["max_objects"], about["image_size"], 0)
+        network.load_state_dict(load_file(folder / WEIGHTS))
+    except Exception as error:  # whatever damaged files make their readers raise
+        raise SdfgcnError(
+            f"The policy in {folder} is damaged ({type(error).__name__}); train it again or copy "
+            "it anew."
+        ) from error
+    return network.eval().requires_grad_(False), about
