@@ -118,11 +118,12 @@ class Training:
         self._counts = counts
         self._curriculum = Curriculum(config.curriculum, counts)
         self._progress = Progress(folder, logger, train.log_pushes)
-        self._actors_state = _Kept()
+        self._kept: dict[str, Any] = {}  # of the actors
         self._load()
-        self._actors: Actors = build_actors(
-            config, env, counts, self._explorer.policy, self._progress.pushes, self._actors_state
-        )
+        with torch.random.fork_rng():  # else a training that goes on would draw other numbers
+            self._actors: Actors = build_actors(
+                config, env, counts, self._explorer.policy, self._progress.pushes, dict(self._kept)
+            )
         self._saved = time.monotonic()
 
     def run(self) -> None:
@@ -195,11 +196,12 @@ class Training:
             "replay": self._replay,
             "curriculum": self._curriculum,
             "progress": self._progress,
-            "actors": self._actors_state,
+            "actors": self._kept,
         }
 
     def _save(self) -> None:
-        self._actors_state.content = self._actors.state()
+        self._kept.clear()
+        self._kept.update(self._actors.state())
         save_checkpoint(self._checkpoint, self._parts(), learning_config(self._config))
         self._saved = time.monotonic()
 
@@ -208,19 +210,8 @@ class Training:
             return
         check_same_learning(self._checkpoint, self._config)
         load_checkpoint(self._checkpoint, self._parts())
-
-
-class _Kept(dict):
-    """A mapping that a checkpoint keeps as it is."""
-
-    @property
-    def content(self) -> dict[str, Any]:
-        return dict(self)
-
-    @content.setter
-    def content(self, values: Mapping[str, Any]) -> None:
-        self.clear()
-        self.update(values)
+        if not self._kept:
+            self._progress.new_episodes()
 
 
 def training_slots(config: Config, counts: Counts) -> int:

@@ -67,7 +67,8 @@ class Progress:
         self._out_of_range: deque[float] = deque(maxlen=WINDOW)
         self._lengths: deque[float] = deque(maxlen=WINDOW)
         self._returns: deque[float] = deque(maxlen=WINDOW)
-        self._return: dict[int, float] = {}  # of the running episode, by trajectory
+        self._return: dict[int, float] = {}  # of running episodes, by trajectory
+        self._carried = 0.0  # return so far of the episode that goes on from a checkpoint
         self._losses: deque[float] = deque(maxlen=WINDOW)
         self._since = (self._began, 0, 0)
 
@@ -98,7 +99,8 @@ class Progress:
         rewards = outcome["reward"].squeeze(-1).tolist()
         trajectories = collected["collector", "traj_ids"].tolist()
         for i, trajectory in enumerate(trajectories):
-            total = self._return.pop(trajectory, 0.0) + rewards[i]
+            total = self._return.pop(trajectory, self._carried) + rewards[i]
+            self._carried = 0.0
             if not done[i]:
                 self._return[trajectory] = total
                 continue
@@ -149,6 +151,7 @@ class Progress:
             "counters": [self.pushes, self.updates, self.episodes],
             "seconds": self.seconds,
             "recent": [list(values) for values in recent],
+            "running": sum(self._return.values(), self._carried),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -159,6 +162,11 @@ class Progress:
         for values, kept in zip(recent, state["recent"], strict=True):
             values.clear()
             values.extend(map(float, kept))
+        self._carried = float(state["running"])
+
+    def new_episodes(self) -> None:
+        """Take it that no episode goes on: the actors begin new ones."""
+        self._carried = 0.0
 
 
 def _mean(values: deque[float]) -> float:

@@ -1,0 +1,147 @@
+"""Training as a whole: it goes on after SIGKILL, refuses what is not its own, and really learns."""
+
+from __future__ import annotations
+
+import csv
+import multiprocessing
+import os
+import time
+from pathlib import Path
+
+import pytest
+import torch
+from configs import real_config
+from small_network import small_network
+
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.loggers import NoLogger
+
+SMALL = (
+    *("objects=household", "robot=gripper", "model=sdfgcn", "n_objects=2", "train.split=test"),
+    *("collector=sync", "collector.pushes_per_batch=10", "budget=smoke", "budget.pushes=80"),
+    *("budget.minutes=null", "budget.epsilon_pushes=50", "train.learning_starts=20"),
+    *("train.updates_per_push=0.5", "train.target_interval=7", "train.log_pushes=20"),
+    *("train.batch_size=8", "train.replay_capacity=60", "train.checkpoint_minutes=0"),
+)
+STEADY = ("pushes", "updates", "episodes", "success_rate", "return", "loss", "epsilon")
+
+
+def train_in_child(overrides: tuple[str, ...], folder: Path) -> None:
+    """Train and leave the network in the folder; runs in a process that can be killed."""
+    from sdfgcn.train.loop import train
+
+    os.environ.setdefault("MUJOCO_GL", "egl")
+    network = train(real_config(*overrides), folder, NoLogger(folder), small_network)
+    torch.save(network.state_dict(), folder / "network.pt")
+
+
+@pytest.fixture(scope="module")
+def forks() -> multiprocessing.context.BaseContext:
+    """Processes forked from one that has loaded everything but has no OpenGL context yet."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["sdfgcn.train.loop", "small_network", "configs"])
+    return context
+
+
+def rows(folder: Path) -> list[dict[str, str]]:
+    with (folder / "train.csv").open() as file:
+        return [{key: row[key] for key in STEADY} for row in csv.DictReader(file)]
+
+
+def run_to_the_end(forks: multiprocessing.context.BaseContext, folder: Path) -> None:
+    child = forks.Process(target=train_in_child, args=(SMALL, folder))
+    child.start()
+    child.join(100)
+    assert child.exitcode == 0
+
+
+@pytest.fixture(scope="module")
+def whole(
+    forks: multiprocessing.context.BaseContext, tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    """The folder of a training that nobody disturbed."""
+    folder = tmp_path_factory.mktemp("whole")
+    run_to_the_end(forks, folder)
+    return folder
+
+
+def test_killed_three_times_it_ends_as_if_nothing_had_happened(
+    forks: multiprocessing.context.BaseContext, whole: Path, tmp_path: Path
+) -> None:
+    checkpoint = tmp_path / "checkpoint.zip"
+    for _ in range(3):
+        child = forks.Process(target=train_in_child, args=(SMALL, tmp_path))
+        before = checkpoint.stat().st_mtime_ns if checkpoint.exists() else 0
+        child.start()
+        deadline = time.monotonic() + 100
+        while not checkpoint.exists() or checkpoint.stat().st_mtime_ns == before:
+            assert time.monotonic() < deadline
+            time.sleep(0.005)
+        child.kill()
+        child.join()
+        assert child.exitcode == -9
+    run_to_the_end(forks, tmp_path)
+    assert rows(tmp_path) == rows(whole)
+    there, here = (torch.load(folder / "network.pt") for folder in (whole, tmp_path))
+    assert all(torch.equal(there[key], here[key]) for key in there)
+    assert {path.name for path in tmp_path.iterdir()} == {
+        *("checkpoint.zip", "network.pt", "train.csv"),
+    }
+
+
+def test_what_train_csv_says(whole: Path) -> None:
+    table = rows(whole)
+    assert [row["pushes"] for row in table] == ["20", "40", "60", "80"]
+    assert [row["updates"] for row in table] == ["0", "10", "20", "30"]
+    assert [float(row["epsilon"]) for row in table] == pytest.approx([0.52, 0.24, 0.1, 0.1])
+    assert table[0]["loss"] == "nan"
+    assert all(float(row["loss"]) > 0 for row in table[1:])
+
+
+def test_a_checkpoint_is_small(whole: Path) -> None:
+    assert (whole / "checkpoint.zip").stat().st_size < 400_000
+
+
+def go_on(folder: Path, *overrides: str) -> None:
+    from sdfgcn.train.loop import train
+
+    train(real_config(*SMALL, *overrides), folder, NoLogger(folder), small_network)
+
+
+@pytest.mark.parametrize("length", [0, 100, 20_000])
+def test_a_damaged_checkpoint_is_named(length: int, whole: Path, tmp_path: Path) -> None:
+    content = (whole / "checkpoint.zip").read_bytes()
+    (tmp_path / "checkpoint.zip").write_bytes(content[:length])
+    with pytest.raises(SdfgcnError, match=r"checkpoint\.zip is damaged or no checkpoint"):
+        go_on(tmp_path)
+
+
+def test_a_flipped_byte_is_noticed(whole: Path, tmp_path: Path) -> None:
+    content = bytearray((whole / "checkpoint.zip").read_bytes())
+    content[len(content) // 2] ^= 0xFF
+    (tmp_path / "checkpoint.zip").write_bytes(content)
+    with pytest.raises(SdfgcnError, match="damaged"):
+        go_on(tmp_path)
+
+
+def test_a_checkpoint_of_another_training_is_refused(whole: Path, tmp_path: Path) -> None:
+    (tmp_path / "checkpoint.zip").write_bytes((whole / "checkpoint.zip").read_bytes())
+    told = r"train\.discount \(0\.5 there, 0\.9 now\); use the same values"
+    with pytest.raises(SdfgcnError, match=told):
+        go_on(tmp_path, "train.discount=0.9")
+
+
+def test_no_gpu_is_one_sentence(tmp_path: Path) -> None:
+    if torch.cuda.is_available():
+        pytest.skip("there is a GPU")
+    with pytest.raises(SdfgcnError, match=r"runtime\.device is 'cuda', but torch sees no such GPU"):
+        go_on(tmp_path, "runtime=gpu")
+
+
+def test_global_randomness_is_left_alone(whole: Path, tmp_path: Path) -> None:
+    (tmp_path / "checkpoint.zip").write_bytes((whole / "checkpoint.zip").read_bytes())
+    (tmp_path / "train.csv").write_bytes((whole / "train.csv").read_bytes())
+    before = torch.get_rng_state()
+    go_on(tmp_path)  # ended already
+    assert torch.equal(before, torch.get_rng_state())
+    assert rows(tmp_path) == rows(whole)

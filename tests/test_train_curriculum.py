@@ -1,0 +1,64 @@
+"""How the number of objects grows."""
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from configs import real_config
+
+from sdfgcn.train.curriculum import Counts, Curriculum
+
+
+def drawn(counts: Counts, n: int = 2000) -> dict[int, float]:
+    rng = np.random.default_rng(0)
+    return {count: seen / n for count, seen in Counter(counts.draw(rng) for _ in range(n)).items()}
+
+
+def test_off_is_always_n_objects() -> None:
+    assert drawn(Counts(real_config("curriculum=off").curriculum, 5), n=9) == {5: 1.0}
+
+
+def test_random_draws_evenly() -> None:
+    shares = drawn(Counts(real_config("curriculum=random").curriculum, 3))
+    assert shares == pytest.approx({2: 1 / 3, 3: 1 / 3, 4: 1 / 3}, abs=0.05)
+
+
+def test_on_grows_with_success_at_the_newest_count() -> None:
+    config = real_config("curriculum=on").curriculum
+    counts = Counts(config, 3)
+    curriculum = Curriculum(config, counts)
+    assert drawn(counts) == {2: 1.0}
+    for _ in range(49):
+        curriculum.episode_ended(2, True)
+    assert counts.newest == 2
+    curriculum.episode_ended(2, True)
+    assert counts.newest == 3
+    assert drawn(counts) == pytest.approx({2: 0.5, 3: 0.5}, abs=0.05)
+    for _ in range(50):
+        curriculum.episode_ended(2, True)  # not the newest
+    assert counts.newest == 3
+    for i in range(50):
+        curriculum.episode_ended(3, i % 5 > 0)  # 80% is not above 80%
+    assert counts.newest == 3
+    curriculum.episode_ended(3, True)  # the oldest, a failure, leaves the window
+    assert counts.newest == 4
+    assert drawn(counts) == pytest.approx({2: 0.25, 3: 0.25, 4: 0.5}, abs=0.05)
+    for _ in range(60):
+        curriculum.episode_ended(4, True)
+    assert counts.newest == 4
+
+
+def test_goes_on_from_its_state() -> None:
+    config = real_config("curriculum=on").curriculum
+    before, after = Counts(config, 3), Counts(config, 3)
+    first, second = Curriculum(config, before), Curriculum(config, after)
+    for _ in range(99):
+        first.episode_ended(before.newest, True)
+    second.load_state_dict(first.state_dict())
+    assert after.newest == before.newest == 3
+    second.episode_ended(3, True)
+    assert after.newest == 4
+
+
+def test_counts_are_shared_between_processes() -> None:
+    assert Counts(real_config("curriculum=on").curriculum, 3).reached.is_shared()
