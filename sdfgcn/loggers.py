@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Protocol
+
+from sdfgcn.errors import SdfgcnError
 
 
 class Logger(Protocol):
@@ -41,4 +44,57 @@ class CsvLogger:
             writer.writerows((step, name, value) for name, value in figures.items())
 
 
-LOGGERS: dict[str, Callable[[Path], Logger]] = {"csv": CsvLogger, "none": NoLogger}
+class TensorboardLogger:
+    """Writes event files into `tensorboard` of the run folder."""
+
+    def __init__(self, folder: Path) -> None:
+        """Open the event file.
+
+        Raises:
+            SdfgcnError: The package is not installed.
+        """
+        _check_installed("tensorboard")
+        from torchrl.record.loggers.tensorboard import TensorboardLogger as Events
+
+        self._events = Events(exp_name="tensorboard", log_dir=str(folder))
+
+    def log(self, step: int, figures: Mapping[str, float]) -> None:
+        """Write the figures."""
+        for name, value in figures.items():
+            self._events.log_scalar(name, value, step=step)
+
+
+class WandbLogger:
+    """Sends figures to Weights & Biases, project sdfgcn; the run is named after the folder."""
+
+    def __init__(self, folder: Path) -> None:
+        """Begin the run.
+
+        Raises:
+            SdfgcnError: The package is not installed.
+        """
+        _check_installed("wandb")
+        from torchrl.record.loggers.wandb import WandbLogger as Run
+
+        self._run = Run(exp_name=folder.name, save_dir=str(folder), project="sdfgcn")
+
+    def log(self, step: int, figures: Mapping[str, float]) -> None:
+        """Send the figures."""
+        for name, value in figures.items():
+            self._run.log_scalar(name, value, step=step)
+
+
+def _check_installed(package: str) -> None:
+    if importlib.util.find_spec(package) is None:
+        raise SdfgcnError(
+            f"logger={package} needs a package that is not installed: "
+            f"pip install 'sdfgcn[{package}]', or use logger=csv."
+        )
+
+
+LOGGERS: dict[str, Callable[[Path], Logger]] = {
+    "csv": CsvLogger,
+    "none": NoLogger,
+    "tensorboard": TensorboardLogger,
+    "wandb": WandbLogger,
+}

@@ -80,6 +80,73 @@ def validate(config: Config) -> None:
         if value < least:
             raise SdfgcnError(f"{key} is {value}, but must be at least {least}.")
     validate_model(config.model, env.arena.image_size)
+    if config.model.name in MODEL_CONFIGS:
+        validate_training(config)
+
+
+def validate_training(config: Config) -> None:
+    """Check what a Q-network's training and evaluation need.
+
+    Raises:
+        SdfgcnError: One sentence that names the key, the value seen and what would work.
+    """
+    train, budget, counts = config.train, config.budget, config.curriculum.counts
+    if counts and not (min(counts) >= 1 and max(counts) <= config.env.max_objects):
+        raise SdfgcnError(
+            f"curriculum.counts is {counts}, but every count must lie between 1 and "
+            f"env.max_objects ({config.env.max_objects})."
+        )
+    for key, name, names in (
+        ("train.split", train.split, SPLITS),
+        ("train.loss", train.loss, ("smooth_l1", "l2")),
+        ("runtime.precision", config.runtime.precision, ("auto", "bfloat16", "float32")),
+    ):
+        if name not in names:
+            raise SdfgcnError(f"{key} is '{name}', but must be one of {', '.join(names)}.")
+    for key, value in (
+        ("train.discount", train.discount),
+        ("train.epsilon_start", train.epsilon_start),
+        ("train.epsilon_end", train.epsilon_end),
+        ("eval.epsilon", config.eval.epsilon),
+        ("augment.probability", config.augment.probability),
+        ("curriculum.bar", config.curriculum.bar),
+        ("curriculum.newest_share", config.curriculum.newest_share),
+    ):
+        if not 0.0 <= value <= 1.0:
+            raise SdfgcnError(f"{key} is {value}, but must lie between 0 and 1.")
+    for key, at_least_one in (
+        ("budget.pushes", budget.pushes),
+        ("budget.epsilon_pushes", budget.epsilon_pushes),
+        ("collector.pushes_per_batch", config.collector.pushes_per_batch),
+        ("train.pushes_per_object", train.pushes_per_object),
+        ("train.batch_size", train.batch_size),
+        ("train.target_interval", train.target_interval),
+        ("train.sdf_cache", train.sdf_cache),
+        ("train.log_pushes", train.log_pushes),
+    ):
+        if at_least_one < 1:
+            raise SdfgcnError(f"{key} is {at_least_one}, but must be at least 1.")
+    _validate_order(
+        "train.epsilon_end", train.epsilon_end, "train.epsilon_start", train.epsilon_start
+    )
+    _validate_order(
+        *("train.batch_size", train.batch_size, "train.replay_capacity", train.replay_capacity)
+    )
+    _validate_order(
+        *("train.updates_per_push", train.updates_per_push),
+        *("train.max_updates_per_push", train.max_updates_per_push),
+    )
+    if train.learning_rate <= 0 or train.max_gradient_norm <= 0 or train.updates_per_push < 0:
+        raise SdfgcnError(
+            f"train.learning_rate is {train.learning_rate}, train.max_gradient_norm is "
+            f"{train.max_gradient_norm} and train.updates_per_push is {train.updates_per_push}, "
+            "but the first two must be above 0 and the third at least 0."
+        )
+
+
+def _validate_order(lesser: str, low: float, greater: str, high: float) -> None:
+    if low > high:
+        raise SdfgcnError(f"{lesser} is {low}, but must not be above {greater} ({high}).")
 
 
 def validate_model(model: ModelConfig, image_size: int) -> None:

@@ -110,7 +110,7 @@ def test_a_mirrored_picture_offers_the_mirrored_pushes(env_of: Envs, collected: 
         sdf = image["sdf"][found].numpy()
         np.testing.assert_array_equal(signed_distances(masks, "edt"), edt(observation, found))
         # Fast marching takes ties in the order of the pixels.
-        np.testing.assert_allclose(signed_distances(masks, "fmm"), sdf, atol=0.05)
+        np.testing.assert_allclose(signed_distances(masks, "fmm"), sdf, atol=0.1)
         plan = plan_pushes(masks, sdf, env.camera, env.config.push, env.config.arena)
         np.testing.assert_allclose(plan.center, image["center"][found], atol=1e-6)
         legal = image["action_mask"].reshape(-1, N_DIRECTIONS)[found].numpy()
