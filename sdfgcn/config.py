@@ -13,6 +13,13 @@ from typing import TypeVar
 from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
+from sdfgcn.config_learning import (
+    AugmentConfig,
+    BudgetConfig,
+    CollectorConfig,
+    CurriculumConfig,
+    HerConfig,
+)
 from sdfgcn.errors import SdfgcnError
 
 N_DIRECTIONS = 8  # push directions, 45 degrees apart (paper section IV c)
@@ -252,53 +259,6 @@ class EvalConfig:
     split: str = MISSING
     epsilon: float = MISSING
     loop_distance: float | None = None
-
-
-@dataclass
-class BudgetConfig:
-    """How long a Q-network is trained (`conf/budget/`)."""
-
-    name: str = MISSING
-    pushes: int = MISSING
-    minutes: float | None = None
-    epsilon_pushes: int = MISSING
-
-
-@dataclass
-class CollectorConfig:
-    """Who pushes while a Q-network learns (`conf/collector/`)."""
-
-    name: str = MISSING
-    workers: int = MISSING
-    pushes_per_batch: int = MISSING
-
-
-@dataclass
-class CurriculumConfig:
-    """How many objects a training episode has (`conf/curriculum/`)."""
-
-    name: str = MISSING
-    counts: list[int] = field(default_factory=list)
-    window: int = 0
-    bar: float = 0.0
-    newest_share: float = 0.0
-
-
-@dataclass
-class HerConfig:
-    """Hindsight experience replay (`conf/her/`)."""
-
-    name: str = MISSING
-    moved: float = 0.0
-    per_push: int = 0
-
-
-@dataclass
-class AugmentConfig:
-    """Augmentation of sampled transitions (`conf/augment/`)."""
-
-    name: str = MISSING
-    probability: float = 0.0
 
 
 @dataclass

@@ -24,6 +24,7 @@ FILES = sorted((ROOT / "sdfgcn").rglob("*.py"))
 # Lowest first. A module imports its own layer and lower ones, never higher ones.
 LAYERS = (
     ("errors",),
+    ("config_learning",),
     ("config",),
     ("validation",),
     ("files", "opengl", "paper"),

@@ -61,7 +61,7 @@ class TrainingEnv(RearrangementEnv):
 
 
 def _unpacked_state(state: Mapping[str, Any]) -> dict[str, Any]:
-    episode = {
+    episode: dict[str, Any] = {
         key: np.array(value) if isinstance(value, list) else value
         for key, value in state["episode"].items()
     }

@@ -11,7 +11,8 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from sdfgcn.config import EnvConfig, HerConfig
+from sdfgcn.config import EnvConfig
+from sdfgcn.config_learning import HerConfig
 from sdfgcn.sim.reward import reward_terms
 
 _NODE_KEYS = ("sdf", "node_mask", "center")
