@@ -10,7 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
-from hydra.core.config_store import ConfigStore
 from omegaconf import MISSING
 
 from sdfgcn.config_learning import (
@@ -335,6 +334,8 @@ class Config:
 
 def register_schema() -> None:
     """Tell Hydra the types, so that it refuses an unknown key or a value of the wrong type."""
+    from hydra.core.config_store import ConfigStore  # a trained policy is used without Hydra
+
     store = ConfigStore.instance()
     store.store(name="schema", node=Config)
     for model in (ConvModelConfig, ConvGcnConfig, PoseGcnConfig):
