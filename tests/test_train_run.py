@@ -1,0 +1,120 @@
+"""`python run.py` with a Q-network: actors in processes of their own, then an evaluation."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from configs import real_config
+from hydra.errors import HydraException
+
+from sdfgcn.cli import to_sentence
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.loggers import TensorboardLogger, WandbLogger
+
+ROOT = Path(__file__).parents[1]
+SMALL = (
+    *("objects=household", "robot=gripper", "n_objects=2", "env.pushes_per_object=1"),
+    *("budget=smoke", "budget.pushes=20", "collector.pushes_per_batch=10", "logger=none"),
+    *("train.learning_starts=5", "train.batch_size=4", "train.log_pushes=10"),
+    *("eval.episodes=1", "runtime.workers=0", "viz.episodes=1"),
+)
+
+
+def run(*arguments: str) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, str(ROOT / "run.py"), *arguments],
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The run folder of a training with an actor of its own, and of its evaluation."""
+    folder = tmp_path_factory.mktemp("run")
+    done = run("model=gt_pose_gcn", *SMALL, "collector=async", f"hydra.run.dir={folder}")
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert "gt_pose_gcn (this run)" in done.stdout
+    return folder
+
+
+def test_trains_then_evaluates(folder: Path) -> None:
+    with (folder / "train.csv").open() as file:
+        last = list(csv.DictReader(file))[-1]
+    assert int(last["pushes"]) >= 20
+    assert json.loads((folder / "status.json").read_text())["state"] == "done"
+    about = json.loads((folder / "policy" / "policy.json").read_text())
+    assert about["model"]["name"] == "gt_pose_gcn"
+    assert about["budget"]["pushes"] == 20
+    assert json.loads((folder / "results.json").read_text())["model"] == "gt_pose_gcn"
+
+
+def test_q_values_are_in_the_recording(folder: Path) -> None:
+    content = (folder / "recordings" / "episode_000.rrd").read_bytes()
+    assert b"q_value" in content or b"q_values" in content
+
+
+def test_evaluates_a_checkpoint_without_training(folder: Path, tmp_path: Path) -> None:
+    checkpoint = ("model=gt_pose_gcn", f"checkpoint={folder}", "eval=greedy", "eval.episodes=1")
+    done = run(*SMALL, *checkpoint, f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "results.json").exists()
+    assert not (tmp_path / "train.csv").exists()
+
+
+# ------------------------------------------------------------------ config
+
+
+@pytest.mark.parametrize(
+    ("overrides", "told"),
+    [
+        (["train.discount=1.5"], "train.discount is 1.5, but must lie between 0 and 1."),
+        (["budget.pushes=0"], "budget.pushes is 0, but must be at least 1."),
+        (["train.batch_size=99999"], "train.batch_size is 99999, but must not be above train.re"),
+        (["train.loss=l7"], "train.loss is 'l7', but must be one of smooth_l1, l2."),
+        (["runtime.precision=int8"], "runtime.precision is 'int8', but must be one of auto,"),
+        (["curriculum=on", "curriculum.counts=[2,9]"], "curriculum.counts is [2, 9], but every"),
+    ],
+)
+def test_training_numbers_out_of_range(overrides: list[str], told: str) -> None:
+    with pytest.raises(SdfgcnError) as raised:
+        real_config("model=sdfgcn", *overrides)
+    assert str(raised.value).startswith(told)
+
+
+def test_an_unknown_option() -> None:
+    with pytest.raises(HydraException) as raised:
+        real_config("her=past")
+    assert to_sentence(raised.value) == "There is no her=past: her can be future, next, off."
+
+
+def test_gpu_is_a_matter_of_config() -> None:
+    runtime = real_config("runtime=gpu").runtime
+    assert (runtime.device, runtime.precision) == ("cuda", "bfloat16")
+
+
+# ------------------------------------------------------------------ loggers
+
+
+@pytest.mark.parametrize("logger", [TensorboardLogger, WandbLogger])
+def test_a_missing_logger_is_one_sentence(
+    logger: type, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(SdfgcnError, match=r"pip install 'sdfgcn\[(tensorboard|wandb)\]'"):
+        logger(tmp_path)
+
+
+def test_tensorboard_gets_the_figures(tmp_path: Path) -> None:
+    pytest.importorskip("tensorboard")
+    TensorboardLogger(tmp_path).log(3, {"train/loss": 0.5})
+    assert list((tmp_path / "tensorboard").glob("events.*"))
