@@ -10,12 +10,20 @@ import sys
 from pathlib import Path
 
 import pytest
-from configs import real_config
+import torch
+from configs import compose_config, real_config
 from hydra.errors import HydraException
+from tensordict import TensorDictBase
 
 from sdfgcn.cli import to_sentence
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.experiment import run_experiment
 from sdfgcn.loggers import TensorboardLogger, WandbLogger
+from sdfgcn.runs import RunFolder
+from sdfgcn.train.actors import build_actors, training_env
+from sdfgcn.train.curriculum import Counts
+from sdfgcn.train.learner import Explorer
+from sdfgcn.train.loop import q_network
 
 ROOT = Path(__file__).parents[1]
 SMALL = (
@@ -64,11 +72,35 @@ def test_q_values_are_in_the_recording(folder: Path) -> None:
 
 
 def test_evaluates_a_checkpoint_without_training(folder: Path, tmp_path: Path) -> None:
-    checkpoint = ("model=gt_pose_gcn", f"checkpoint={folder}", "eval=greedy", "eval.episodes=1")
-    done = run(*SMALL, *checkpoint, f"hydra.run.dir={tmp_path}")
-    assert done.returncode == 0, done.stderr
-    assert (tmp_path / "results.json").exists()
+    overrides = (*SMALL, "model=gt_pose_gcn", f"checkpoint={folder}", "eval=greedy", "viz=none")
+    overrides = (*overrides, "eval.episodes=1")
+    with RunFolder(tmp_path, compose_config(*overrides)) as held:
+        results = run_experiment(real_config(*overrides), held)
+    assert results["episodes"] == 1
     assert not (tmp_path / "train.csv").exists()
+
+
+def test_actors_elsewhere_hear_of_a_new_count() -> None:
+    config = real_config(
+        *(*SMALL, "model=gt_pose_gcn", "curriculum=on", "curriculum.counts=[1,2]"),
+        *("train.pushes_per_object=1", "collector=async", "collector.pushes_per_batch=4"),
+    )
+    counts = Counts(config.curriculum, config.n_objects)
+    explorer = Explorer(q_network(config, 2), 2, config.train, epsilon_pushes=10)
+    env = training_env(config, counts, max_objects=2)
+    actors = build_actors(config, env, counts, explorer.policy)
+    try:
+        before = actors.collect(lambda: False)
+        counts.reached += 1
+        after = [actors.collect(lambda: False) for _ in range(8)]
+    finally:
+        actors.close()
+    assert n_objects(before) == {1}
+    assert n_objects(torch.cat(after)) == {1, 2}
+
+
+def n_objects(collected: TensorDictBase) -> set[int]:
+    return set((collected["goal_position"] != 0).any(dim=-1).sum(dim=-1).tolist())
 
 
 # ------------------------------------------------------------------ config

@@ -8,7 +8,6 @@ import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import asdict, replace
-from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
@@ -147,8 +146,10 @@ class AsyncActors:
         workers = max(config.collector.workers, 1)
         seeds = [_seed(config.seed, worker, pushes) for worker in range(workers)]
         self._collector = MultiAsyncCollector(
-            [partial(_env_in_worker, env, counts, seed) for seed in seeds],
+            [_env_in_worker] * workers,
             policy,
+            # Not bound to the function: TorchRL would copy what of `counts` is shared.
+            create_env_kwargs=[{"config": env, "counts": counts, "seed": seed} for seed in seeds],
             frames_per_batch=config.collector.pushes_per_batch,
             total_frames=-1,
             num_threads=torch.get_num_threads(),
@@ -222,9 +223,9 @@ def training_env(config: Config, counts: Counts, max_objects: int) -> EnvConfig:
     )
 
 
-def _env_in_worker(env: EnvConfig, counts: Counts, seed: int) -> TrainingEnv:
+def _env_in_worker(config: EnvConfig, counts: Counts, seed: int) -> TrainingEnv:
     torch.manual_seed(seed)  # the policy's random pushes
-    return TrainingEnv(env, counts, seed)
+    return TrainingEnv(config, counts, seed)
 
 
 def _seed(seed: int, worker: int, pushes: int) -> int:
