@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 import subprocess
 import sys
 from pathlib import Path
@@ -135,6 +136,14 @@ def test_policy_json_comes_last(tmp_path: Path) -> None:
     about = json.loads((tmp_path / "policy.json").read_text())
     assert about["budget"] == {"pushes": 0}
     assert {path.name for path in tmp_path.iterdir()} == {"policy.json", "weights.safetensors"}
+
+
+@pytest.mark.parametrize("model", sorted(MODEL_CONFIGS))
+def test_actors_in_other_processes_can_have_the_network(model: str) -> None:
+    network = build_q_network(real_config(f"model={model}").model, N, SIZE, 7)
+    copied = pickle.loads(pickle.dumps(network))
+    given, there = (each(observation())["action_value"] for each in (copied, network))
+    assert torch.equal(given, there)
 
 
 # ------------------------------------------------------------------ agent

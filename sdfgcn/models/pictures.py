@@ -6,8 +6,19 @@ from collections.abc import Callable
 
 from torch import Tensor
 
-# Change signed distances in place; the number is the distance in pixels that becomes 1.
+
+def scaled_sdf(sdf: Tensor, unit: float) -> Tensor:
+    """Signed distances in units of so many pixels; in place."""
+    return sdf.mul_(1.0 / unit)
+
+
+def object_mask(sdf: Tensor, unit: float) -> Tensor:
+    """1 inside the object, 0 outside; in place."""
+    return sdf.lt_(0.0)
+
+
+# Named functions: actors in other processes get a network by pickling it.
 PICTURES: dict[str, Callable[[Tensor, float], Tensor]] = {
-    "sdf": lambda sdf, unit: sdf.mul_(1.0 / unit),
-    "mask": lambda sdf, unit: sdf.lt_(0.0),
+    "sdf": scaled_sdf,
+    "mask": object_mask,
 }

@@ -227,8 +227,7 @@ def learning_config(config: Config) -> dict[str, Any]:
         value = getattr(config, part)
         flat |= {part: value} if isinstance(value, int) else _flat(asdict(value), f"{part}.")
     free = tuple(f"{part}.{key}" for part, keys in _FREE.items() for key in keys)
-    kept = {key: value for key, value in flat.items() if not key.startswith(free)}
-    return {**kept, "collector.name": config.collector.name}
+    return {key: value for key, value in flat.items() if not key.startswith(free)}
 
 
 def check_same_learning(path: Path, config: Config) -> None:
