@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -18,6 +19,7 @@ from torchrl.collectors import Collector, MultiAsyncCollector
 
 from sdfgcn.config import Config, EnvConfig
 from sdfgcn.envs.rearrangement import RearrangementEnv
+from sdfgcn.errors import SdfgcnError
 from sdfgcn.sim.episode import Episode
 from sdfgcn.train.curriculum import Counts
 
@@ -79,6 +81,9 @@ class Actors(Protocol):
 
         Returns:
             [T] transitions.
+
+        Raises:
+            SdfgcnError: An actor's process died.
         """
 
     def publish(self) -> None:
@@ -155,7 +160,7 @@ class AsyncActors:
             num_threads=torch.get_num_threads(),
             num_sub_threads=config.runtime.torch_threads,
             auto_register_policy_transforms=False,
-            init_fn=_end_with_parent,
+            init_fn=_start_worker,
         )
         self._batches = iter(self._collector)
         self._waiter = ThreadPoolExecutor(1)
@@ -166,7 +171,13 @@ class AsyncActors:
         while not batch.done():
             if not meanwhile():
                 wait([batch], timeout=IDLE_SECONDS)
-        return batch.result().clone()
+        try:
+            return batch.result().clone()
+        except RuntimeError as error:
+            raise SdfgcnError(
+                f"An actor's process died ({str(error).partition(chr(10))[0]}); the same "
+                "hydra.run.dir goes on from the last checkpoint."
+            ) from error
 
     def publish(self) -> None:
         """Send the policy's weights."""
@@ -233,8 +244,9 @@ def _seed(seed: int, worker: int, pushes: int) -> int:
     return int(np.random.SeedSequence(seed, spawn_key=(1, worker, pushes)).generate_state(1)[0])
 
 
-def _end_with_parent() -> None:
-    """End this worker when the learner's process is killed; it would wait for work forever."""
+def _start_worker() -> None:
+    """Make this process end with the learner's: it would wait for work forever."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the learner hears Ctrl-C and ends its actors
 
     def watch() -> None:
         parent = multiprocessing.parent_process()

@@ -182,9 +182,9 @@ class Explorer:
         self._greedy.step(pushes)
 
     def state_dict(self) -> dict[str, Any]:
-        """The policy with its epsilon, for a checkpoint."""
-        return dict(self.policy.state_dict())
+        """Epsilon, for a checkpoint; the weights are the learner's."""
+        return {"epsilon": self.epsilon}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from what a checkpoint kept."""
-        self.policy.load_state_dict(state)
+        self._greedy.eps.fill_(float(state["epsilon"]))

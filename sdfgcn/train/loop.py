@@ -210,6 +210,7 @@ class Training:
             return
         check_same_learning(self._checkpoint, self._config)
         load_checkpoint(self._checkpoint, self._parts())
+        self._explorer.follow(self.network)
         if not self._kept:
             self._progress.new_episodes()
 

@@ -80,6 +80,7 @@ class Progress:
     def open(self, total: int) -> None:
         """Begin to show the live line, and cut what `train.csv` has of the time after now."""
         self._table.cut(self.pushes)
+        self._began = time.monotonic()  # without the time that it took to build all parts
         self._since = (time.monotonic(), self.pushes, self.updates)
         self._bar = tqdm(total=total, initial=self.pushes, unit="push", disable=None)
 
