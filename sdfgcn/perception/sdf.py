@@ -133,4 +133,4 @@ def signed_distances(masks: NDArray[np.bool_], method: str = "fmm") -> NDArray[n
 
 def forget_distances() -> None:
     """Drop the kept results, so that a benchmark starts from nothing."""
-    _distance.cache_clear()
+    _distance_cached.cache_clear()
