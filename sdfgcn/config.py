@@ -141,12 +141,31 @@ class RewardConfig:
 
 
 @dataclass
+class SegmentationConfig:
+    """How masks are found in a picture (`conf/segmentation/`)."""
+
+    name: str = MISSING
+    weights: str | None = None
+    channels: int = MISSING
+    widths: list[int] = MISSING
+    embedding: int = MISSING
+    seeds: int = MISSING
+    seed_distance: float = MISSING
+    concentration: float = MISSING
+    iterations: int = MISSING
+    merge_distance: float = MISSING
+    max_hole: int | None = None
+    min_pixels: int = MISSING
+
+
+@dataclass
 class PerceptionConfig:
     """Picture -> masks -> SDFs (`conf/perception/`)."""
 
     name: str = MISSING
     min_pixels: int = MISSING
     sdf: str = MISSING
+    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
 
 
 @dataclass
@@ -208,6 +227,55 @@ class RuntimeConfig:
     name: str = MISSING
     workers: int = MISSING
     torch_threads: int = MISSING
+
+
+@dataclass
+class ScenesConfig:
+    """The pictures that a segmenter is trained on (`conf/train_ucn.yaml`)."""
+
+    layouts: int = MISSING
+    appearances: int = MISSING
+    n_objects: list[int] = MISSING
+    seed: int = MISSING
+    workers: int = MISSING
+    touching: float = MISSING
+    stacked: float = MISSING
+    drop_height: float = MISSING
+    settle_seconds: float = MISSING
+    margin: float = MISSING
+    plain: float = MISSING
+    textured: float = MISSING
+    camera_shift: float = MISSING
+    camera_turn: float = MISSING
+    fovy: list[float] = MISSING
+    lamp_x: list[float] = MISSING
+    lamp_y: list[float] = MISSING
+    lamp_z: list[float] = MISSING
+    lamp_diffuse: list[float] = MISSING
+    ambient: list[float] = MISSING
+    headlight_diffuse: list[float] = MISSING
+
+
+@dataclass
+class TrainUCNConfig:
+    """Training of the segmentation network (`conf/train_ucn.yaml`)."""
+
+    seed: int = MISSING
+    n_objects: int = MISSING
+    out: str = MISSING
+    steps: int = MISSING
+    batch: int = MISSING
+    learning_rate: float = MISSING
+    weight_decay: float = MISSING
+    warmup: int = MISSING
+    pull: float = MISSING
+    push: float = MISSING
+    torch_threads: int = MISSING
+    checkpoint_steps: int = MISSING
+    validation_scenes: int = MISSING
+    scenes: ScenesConfig = field(default_factory=ScenesConfig)
+    catalogues: dict[str, ObjectsConfig] = MISSING
+    env: EnvConfig = field(default_factory=EnvConfig)
 
 
 @dataclass
