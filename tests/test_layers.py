@@ -13,6 +13,7 @@ from omegaconf import OmegaConf
 from sdfgcn.agents import MODELS
 from sdfgcn.loggers import LOGGERS
 from sdfgcn.objects.catalogue import SOURCES
+from sdfgcn.perception.segmenters import SEGMENTERS
 from sdfgcn.sim.robots import ROBOTS
 from sdfgcn.sim.scenarios import SCENARIOS
 from sdfgcn.viz import RECORDERS
@@ -53,6 +54,7 @@ REGISTRIES = {
     "objects": SOURCES,
     "robot": ROBOTS,
     "scenario": SCENARIOS,
+    "segmentation": SEGMENTERS,
     "viz": RECORDERS,
 }
 OPTIONS = sorted((path.parent.name, path.stem) for path in CONF.glob("*/*.yaml"))
@@ -139,7 +141,8 @@ def test_registry_and_conf_name_the_same_things(group: str) -> None:
 @pytest.mark.parametrize(("group", "option"), OPTIONS)
 def test_every_option_composes_and_is_named_after_its_file(group: str, option: str) -> None:
     config = real_config(f"{group}={option}")
-    part = getattr(config, group, None) or getattr(config.env, group)
+    holders = (config, config.env, config.env.perception)
+    part = next(getattr(holder, group) for holder in holders if hasattr(holder, group))
     assert part.name == option
 
 

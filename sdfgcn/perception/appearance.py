@@ -59,13 +59,13 @@ class Appearance:
         """
         self.reset()
         model, scenes = self._model, self._scenes
-        place = [rng.uniform(*axis) for axis in (scenes.lamp_x, scenes.lamp_y, scenes.lamp_z)]
+        place = [_within(rng, axis) for axis in (scenes.lamp_x, scenes.lamp_y, scenes.lamp_z)]
         aim = np.array([*rng.uniform(-0.2, 0.2, 2), 0.0]) - place
         model.light_pos[self._lamp] = place
         model.light_dir[self._lamp] = aim / np.linalg.norm(aim)
-        model.light_diffuse[self._lamp] = rng.uniform(*scenes.lamp_diffuse) * _tint(rng)
-        model.vis.headlight.ambient[:] = rng.uniform(*scenes.ambient) * _tint(rng)
-        model.vis.headlight.diffuse[:] = rng.uniform(*scenes.headlight_diffuse) * _tint(rng)
+        model.light_diffuse[self._lamp] = _within(rng, scenes.lamp_diffuse) * _tint(rng)
+        model.vis.headlight.ambient[:] = _within(rng, scenes.ambient) * _tint(rng)
+        model.vis.headlight.diffuse[:] = _within(rng, scenes.headlight_diffuse) * _tint(rng)
         self._draw_camera(rng)
         table = random_colour(rng)
         if rng.random() < 0.3:
@@ -82,7 +82,7 @@ class Appearance:
         quat = Rotation.from_quat(model.cam_quat[self._camera], scalar_first=True) * turn
         model.cam_quat[self._camera] = quat.as_quat(scalar_first=True)
         model.cam_pos[self._camera] += rng.normal(0.0, scenes.camera_shift, 3)
-        model.cam_fovy[self._camera] = rng.uniform(*scenes.fovy)
+        model.cam_fovy[self._camera] = _within(rng, scenes.fovy)
 
     def _colour_prop(
         self,
@@ -96,7 +96,9 @@ class Appearance:
         if model.geom_matid[geom] >= 0:
             kind = rng.random()
             if kind < 0.6:
-                model.geom_rgba[geom, :3] = rng.uniform(0.6, 1.0) * _tint(rng) if kind < 0.3 else 1.0
+                model.geom_rgba[geom, :3] = (
+                    rng.uniform(0.6, 1.0) * _tint(rng) if kind < 0.3 else 1.0
+                )
                 return
             model.geom_matid[geom] = -1
         if shared is not None:
@@ -127,6 +129,11 @@ def random_colour(rng: np.random.Generator) -> NDArray[np.float64]:
     """[3] a colour, 0 to 1: any hue, pale ones and greys as likely as strong ones."""
     hue, saturation, value = rng.random(), rng.random(), rng.uniform(0.08, 1.0)
     return np.array(colorsys.hsv_to_rgb(hue, saturation, value))
+
+
+def _within(rng: np.random.Generator, limits: Sequence[float]) -> float:
+    low, high = limits
+    return rng.uniform(low, high)
 
 
 def _tint(rng: np.random.Generator) -> NDArray[np.float64]:

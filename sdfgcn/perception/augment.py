@@ -40,9 +40,7 @@ def augmented(
     return batch, torch.from_numpy(np.stack(truths))
 
 
-def _recoloured(
-    rng: np.random.Generator, picture: NDArray[np.float32]
-) -> NDArray[np.float32]:
+def _recoloured(rng: np.random.Generator, picture: NDArray[np.float32]) -> NDArray[np.float32]:
     if rng.random() < COLOUR:
         picture = picture[..., rng.permutation(3)]  # another hue at no cost
         gain = rng.uniform(0.6, 1.3) * rng.normal(1.0, 0.05, 3)

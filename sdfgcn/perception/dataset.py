@@ -69,7 +69,7 @@ def pictures_folder(config: TrainUCNConfig) -> Path:
     """The folder in which pictures with these settings are cached."""
     scenes = {k: v for k, v in asdict(config.scenes).items() if k not in ("workers", "layouts")}
     settings = {
-        "format": FORMAT,
+        "format": [FORMAT, SHARD],
         "scenes": scenes,
         "arena": asdict(config.env.arena),
         "physics": asdict(config.env.physics),

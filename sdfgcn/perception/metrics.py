@@ -97,9 +97,7 @@ def match_masks(found: NDArray[np.bool_], true: NDArray[np.bool_]) -> list[tuple
     return [(int(i), int(j)) for i, j in zip(rows, columns, strict=True) if both[i, j] > 0]
 
 
-def _score(
-    right: int, recalled: int, found: NDArray[np.bool_], true: NDArray[np.bool_]
-) -> Score:
+def _score(right: int, recalled: int, found: NDArray[np.bool_], true: NDArray[np.bool_]) -> Score:
     n_found, n_true = int(found.sum()), int(true.sum())
     if n_found == n_true == 0:
         return Score(1.0, 1.0)
@@ -120,6 +118,6 @@ def _dilated(masks: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
     """[k, H, W] everything within a disk of the radius around each mask's pixels."""
     v, u = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     disk = u**2 + v**2 <= radius**2
-    return np.array(
-        [ndimage.binary_dilation(mask, disk) for mask in masks], dtype=bool
-    ).reshape(masks.shape)
+    return np.array([ndimage.binary_dilation(mask, disk) for mask in masks], dtype=bool).reshape(
+        masks.shape
+    )

@@ -83,21 +83,17 @@ class SceneWorld:
         kind = rng.random()
         stacked = kind < self._scenes.stacked
         touching = kind < self._scenes.stacked + self._scenes.touching
-        n = int(rng.integers(self._scenes.n_objects[0], self._scenes.n_objects[1] + 1))
-        chosen = rng.choice(len(self._catalogue), size=n, replace=False)
+        fewest, most = self._scenes.n_objects
+        n = int(rng.integers(fewest, most + 1))
         shapes: list[Polygon] = []
         poses: list[NDArray[np.float64]] = []
-        kept = []
-        for index in chosen:
+        kept: list[int] = []
+        for index in rng.choice(len(self._catalogue), size=n, replace=False):
             model = self._catalogue[index]
             rest = _draw_rest(rng, model)
             quat = _turned(rng, rest)
-            dropped = stacked and poses and rng.random() < 0.5
-            if dropped:
-                below = poses[rng.integers(len(poses))]
-                point = below[:2] + rng.normal(0.0, 0.02, 2)
-                height = below[2] + rest.radius + self._scenes.drop_height
-                poses.append(np.hstack([point, height, _random_quat(rng)]))
+            if stacked and poses and rng.random() < 0.5:
+                poses.append(self._above(rng, rest, poses))
                 kept.append(index)
                 continue
             shape = footprint(model.vertices, quat)
@@ -111,6 +107,15 @@ class SceneWorld:
         white = np.ones((len(kept), 4))  # each look has colours of its own
         return Episode(seed=0, objects=np.array(kept), start=start, goal=start, colors=white)
 
+    def _above(
+        self, rng: np.random.Generator, rest: Rest, poses: Sequence[NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        """[7] a pose in the air above one of the others, turned at random."""
+        below = poses[int(rng.integers(len(poses)))]
+        point = below[:2] + rng.normal(0.0, 0.02, 2)
+        height = below[2] + rest.radius + self._scenes.drop_height
+        return np.hstack([point, height, Rotation.random(rng=rng).as_quat(scalar_first=True)])
+
     def _place(
         self, rng: np.random.Generator, shape: Polygon, others: Sequence[Polygon], close: bool
     ) -> NDArray[np.float64] | None:
@@ -118,7 +123,7 @@ class SceneWorld:
         for _ in range(MAX_TRIES):
             point = rng.uniform(self._region.low, self._region.high)
             if close:
-                other = others[rng.integers(len(others))]
+                other = others[int(rng.integers(len(others)))]
                 point = _slide(rng, shape, other)
             there = translate(shape, *point)
             free = all(there.distance(other) > 0.0 for other in others)
@@ -148,7 +153,3 @@ def _turned(rng: np.random.Generator, rest: Rest) -> NDArray[np.float64]:
     """[4] the resting orientation (w, x, y, z), turned by a random yaw."""
     turn = Rotation.from_euler("z", rng.uniform(0.0, 2.0 * np.pi))
     return (turn * Rotation.from_quat(rest.quat, scalar_first=True)).as_quat(scalar_first=True)
-
-
-def _random_quat(rng: np.random.Generator) -> NDArray[np.float64]:
-    return Rotation.random(rng=rng).as_quat(scalar_first=True)

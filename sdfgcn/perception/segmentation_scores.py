@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
-from typing import Any
 
+import mujoco
 import numpy as np
-from dm_control import composer
+from dm_control import composer, mjcf
 from numpy.typing import NDArray
 
 from sdfgcn.config import EnvConfig
@@ -37,7 +37,7 @@ class SceneView:
     n_objects: int
 
 
-Relight = Callable[[Any, np.random.Generator], None]
+Relight = Callable[[mjcf.Physics, np.random.Generator], None]
 
 
 def views(
@@ -70,6 +70,25 @@ def views(
                 masks = oracle_masks(renderer.geom_ids(), task.slot_of_geom, n)
                 seen = detected(masks, env.perception.min_pixels)
                 yield SceneView(seed, renderer.pixels(), masks[seen], n)
+
+
+def shifted_look(physics: mjcf.Physics, rng: np.random.Generator) -> None:
+    """Draw another light and another table colour; for `views`.
+
+    Args:
+        physics: The compiled world, changed in place.
+        rng: Source of randomness.
+    """
+    model = physics.model
+    lamp, table = model.name2id("lamp", "light"), model.name2id("table", "geom")
+    place = np.array([*rng.uniform(-0.8, 0.8, 2), rng.uniform(1.0, 2.0)])
+    model.light_pos[lamp] = place
+    model.light_dir[lamp] = -place / np.linalg.norm(place)
+    model.light_diffuse[lamp] = rng.uniform(0.3, 0.9)
+    model.vis.headlight.ambient[:] = rng.uniform(0.2, 0.5)
+    model.vis.headlight.diffuse[:] = rng.uniform(0.1, 0.5)
+    model.geom_rgba[table, :3] = rng.uniform(0.1, 0.9, 3)
+    mujoco.mj_camlight(model.ptr, physics.data.ptr)
 
 
 def score(

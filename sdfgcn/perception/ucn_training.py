@@ -133,9 +133,7 @@ class Training:
         done = (self.step - config.warmup) / max(1, config.steps - config.warmup)
         return config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * done))
 
-    def _row(
-        self, recent: list[tuple[float, float]], scenes: list[SceneView]
-    ) -> dict[str, float]:
+    def _row(self, recent: list[tuple[float, float]], scenes: list[SceneView]) -> dict[str, float]:
         """What `metrics.csv` says about the updates since its last row."""
         segmenter = UCNSegmenter(self._config.env.perception.segmentation, self.network.eval())
         scores = summary([scores for _, _, scores in score(segmenter, scenes)])
@@ -229,7 +227,14 @@ def _read_checkpoint(path: Path) -> dict[str, Any]:
         missing = {"config", "network", "optimiser", "step", "seconds", "rows"} - set(state)
         if missing:
             raise ValueError(f"it lacks {sorted(missing)[0]}")
-    except (OSError, RuntimeError, ValueError, EOFError, TypeError, pickle.UnpicklingError) as error:
+    except (
+        OSError,
+        RuntimeError,
+        ValueError,
+        EOFError,
+        TypeError,
+        pickle.UnpicklingError,
+    ) as error:
         raise SdfgcnError(
             f"The checkpoint {path} cannot be read ({str(error).splitlines()[0]}); delete it to "
             "start from the beginning, or use another out=..."
