@@ -274,7 +274,7 @@ class TrainUCNConfig:
     checkpoint_steps: int = MISSING
     validation_scenes: int = MISSING
     scenes: ScenesConfig = field(default_factory=ScenesConfig)
-    catalogues: dict[str, ObjectsConfig] = MISSING
+    catalogues: dict[str, ObjectsConfig] = field(default_factory=dict)
     env: EnvConfig = field(default_factory=EnvConfig)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import multiprocessing
+import zipfile
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing
@@ -149,7 +150,7 @@ def _read(files: Sequence[Path]) -> Pictures:
             with np.load(file, allow_pickle=False) as arrays:
                 pixels.append(arrays["pixels"])
                 labels.append(arrays["labels"])
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise SdfgcnError(
                 f"The cached pictures {file} are damaged ({error}); delete that file and run "
                 "again to render them anew."

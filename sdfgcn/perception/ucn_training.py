@@ -28,6 +28,17 @@ from sdfgcn.perception.segmenters.loss import clustering_loss
 from sdfgcn.perception.segmenters.network import UCN
 from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
 
+# Torch's reader lets any of these through when a file is cut short or no checkpoint at all.
+_UNREADABLE = (
+    OSError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    LookupError,
+    EOFError,
+    pickle.PickleError,
+)
+
 # What may differ when a training goes on: how it is run, not what comes out.
 _FREE_KEYS = ("out", "torch_threads", "checkpoint_steps", "validation_scenes")
 COLUMNS = ("step", "seconds", "learning_rate", "loss", "pull", "push")
@@ -236,7 +247,7 @@ def _read_checkpoint(path: Path) -> dict[str, Any]:
         pickle.UnpicklingError,
     ) as error:
         raise SdfgcnError(
-            f"The checkpoint {path} cannot be read ({str(error).splitlines()[0]}); delete it to "
+            f"The checkpoint {path} cannot be read ({type(error).__name__}); delete it to "
             "start from the beginning, or use another out=..."
         ) from error
     return state
