@@ -39,8 +39,9 @@ _UNREADABLE = (
     pickle.PickleError,
 )
 
-# What may differ when a training goes on: how it is run, not what comes out.
-_FREE_KEYS = ("out", "torch_threads", "checkpoint_steps", "validation_scenes")
+# What may differ when a training goes on: how it is run, and how long. With another number of
+# steps the learning rate follows the cosine of the new number from there on.
+_FREE_KEYS = ("steps", "out", "torch_threads", "checkpoint_steps", "validation_scenes")
 COLUMNS = ("step", "seconds", "learning_rate", "loss", "pull", "push")
 SCORES = ("overlap_f", "overlap_precision", "overlap_recall", "boundary_f", "count_right")
 

@@ -77,7 +77,9 @@ class UCN(nn.Module):
         for k in reversed(range(len(self.decoder))):
             features = interpolate(self.lateral[k](features), scale_factor=2.0, mode="nearest")
             features = self.decoder[k](features + levels[k])
-        return normalize(self.head(sharp + pixel_shuffle(self.widen(features), 2)), dim=1)
+        # pixel_shuffle leaves channels_last, and all that follows would be slower by a quarter.
+        fine = pixel_shuffle(self.widen(features), 2).contiguous(memory_format=torch.channels_last)
+        return normalize(self.head(sharp + fine), dim=1)
 
 
 def _block(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
