@@ -239,14 +239,7 @@ def _read_checkpoint(path: Path) -> dict[str, Any]:
         missing = {"config", "network", "optimiser", "step", "seconds", "rows"} - set(state)
         if missing:
             raise ValueError(f"it lacks {sorted(missing)[0]}")
-    except (
-        OSError,
-        RuntimeError,
-        ValueError,
-        EOFError,
-        TypeError,
-        pickle.UnpicklingError,
-    ) as error:
+    except _UNREADABLE as error:
         raise SdfgcnError(
             f"The checkpoint {path} cannot be read ({type(error).__name__}); delete it to "
             "start from the beginning, or use another out=..."
