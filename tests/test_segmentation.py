@@ -147,14 +147,14 @@ def test_embeddings_have_length_one() -> None:
 
 def test_loss_of_a_hand_worked_case() -> None:
     # One picture of four pixels in the plane: the table twice at 0 degrees, an object at +-60
-    # degrees around 90. The table's pixels are at their centre. The object's are 60 degrees from
-    # theirs: (1 - 0.5) / 2 = 0.25, squared 0.0625; over both clusters the mean is 0.03125. The
-    # centres are 90 degrees apart, a distance of 0.5: with delta 0.7 they lack 0.2, squared 0.04.
+    # degrees around 90. The table's pixels are at their centre and not drawn. The object's are 60
+    # degrees from theirs: (1 - 0.5) / 2 = 0.25, squared 0.0625. The centres are 90 degrees apart,
+    # a distance of 0.5: with delta 0.7 they lack 0.2, squared 0.04.
     angles = torch.deg2rad(torch.tensor([0.0, 0.0, 30.0, 150.0]))
     embeddings = torch.stack([angles.cos(), angles.sin()]).reshape(1, 2, 2, 2)
     labels = torch.tensor([[[0, 0], [1, 1]]])
     pull, push = clustering_loss(embeddings, labels, pull=0.02, push=0.7, min_pixels=1)
-    assert pull.item() == pytest.approx(0.03125, abs=1e-6)
+    assert pull.item() == pytest.approx(0.0625, abs=1e-6)
     assert push.item() == pytest.approx(0.04, abs=1e-6)
     pull, push = clustering_loss(embeddings, labels, pull=0.3, push=0.5, min_pixels=1)
     assert pull.item() == pytest.approx(0.0, abs=1e-6)  # within the margin

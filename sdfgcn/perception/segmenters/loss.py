@@ -1,4 +1,10 @@
-"""The metric-learning loss of unseen object clustering (Xiang et al. 2020, equations 1 and 2)."""
+"""The metric-learning loss of unseen object clustering (Xiang et al. 2020, equations 1 and 2).
+
+With one change: there each cluster counts equally, here each pixel that is drawn. The table's
+outermost pixels are many and an object's few, so that a mean over clusters would give a pixel just
+outside an object a tenth of the weight of one just inside. Masks then grow by a pixel all around,
+which is nothing at 640 pixels and a quarter of the overlap F-measure at 96.
+"""
 
 from __future__ import annotations
 
@@ -23,8 +29,8 @@ def clustering_loss(
         min_pixels: A smaller cluster is left out.
 
     Returns:
-        The mean over clusters of the mean squared distance of their drawn pixels, and the mean
-        over pairs of centres of their squared lack of distance; each a mean over pictures.
+        The mean squared distance of the drawn pixels, and the mean over pairs of centres of their
+        squared lack of distance; each a mean over pictures.
     """
     batch = len(embeddings)
     points = embeddings.flatten(2)  # [B, D, P]
@@ -34,9 +40,8 @@ def clustering_loss(
     centers = normalize(torch.einsum("bdp,bpk->bkd", points, members), dim=2)
     distances = 0.5 * (1.0 - torch.einsum("bkd,bdp->bpk", centers, points))
     # Only pixels beyond the margin count, in the sum and in the number that it is divided by.
-    far = members * (distances.detach() > pull)
-    within = (far * distances.square()).sum(dim=1) / far.sum(dim=1).clamp(min=1.0)
-    pulled = (there * within).sum(dim=1) / there.sum(dim=1).clamp(min=1.0)
+    far = members * there[:, None, :] * (distances.detach() > pull)
+    pulled = (far * distances.square()).sum(dim=(1, 2)) / far.sum(dim=(1, 2)).clamp(min=1.0)
     between = 0.5 * (1.0 - centers @ centers.transpose(1, 2))  # [B, K, K]
     pairs = (there[:, :, None] * there[:, None, :]).triu(diagonal=1)
     lack = (push - between).clamp(min=0.0).square()
