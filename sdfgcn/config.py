@@ -149,6 +149,7 @@ class SegmentationConfig:
     channels: int = MISSING
     widths: list[int] = MISSING
     embedding: int = MISSING
+    table_distance: float = MISSING
     seeds: int = MISSING
     seed_distance: float = MISSING
     concentration: float = MISSING

@@ -41,7 +41,16 @@ _UNREADABLE = (
 
 # What may differ when a training goes on: how it is run, and how long. With another number of
 # steps the learning rate follows the cosine of the new number from there on.
-_FREE_KEYS = ("steps", "out", "torch_threads", "checkpoint_steps", "validation_scenes")
+_FREE_KEYS = (
+    "steps",
+    "out",
+    "torch_threads",
+    "checkpoint_steps",
+    "validation_scenes",
+    "scenes.workers",
+)
+_SEGMENTATION = "env.perception.segmentation."  # of these only what the network or the loss reads
+_BINDING = tuple(_SEGMENTATION + key for key in ("channels", "widths", "embedding", "min_pixels"))
 COLUMNS = ("step", "seconds", "learning_rate", "loss", "pull", "push")
 SCORES = ("overlap_f", "overlap_precision", "overlap_recall", "boundary_f", "count_right")
 
@@ -172,7 +181,7 @@ class Training:
         content = io.BytesIO()
         torch.save(
             {
-                "config": _comparable(self._config),
+                "config": json.dumps(_flat(asdict(self._config))),
                 "network": self.network.state_dict(),
                 "optimiser": self._optimiser.state_dict(),
                 "step": self.step,
@@ -195,8 +204,12 @@ class Training:
         if not self._checkpoint.exists():
             return
         state = _read_checkpoint(self._checkpoint)
-        before, now = json.loads(state["config"]), json.loads(_comparable(self._config))
-        differing = [key for key in sorted({*before, *now}) if before.get(key) != now.get(key)]
+        before, now = json.loads(state["config"]), _flat(asdict(self._config))
+        differing = [
+            key
+            for key in sorted({*before, *now})
+            if _binds(key) and before.get(key) != now.get(key)
+        ]
         if differing:
             key = differing[0]
             raise SdfgcnError(
@@ -247,16 +260,18 @@ def _read_checkpoint(path: Path) -> dict[str, Any]:
     return state
 
 
-def _comparable(config: TrainUCNConfig) -> str:
-    """The config as JSON of dotted keys, without those that change nothing in the result."""
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A config as one dictionary of dotted keys."""
     flat: dict[str, Any] = {}
+    for key, value in values.items():
+        flat |= (
+            _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+        )
+    return flat
 
-    def flatten(values: dict[str, Any], prefix: str) -> None:
-        for key, value in values.items():
-            if isinstance(value, dict):
-                flatten(value, f"{prefix}{key}.")
-            elif f"{prefix}{key}" not in (*_FREE_KEYS, "scenes.workers"):
-                flat[f"{prefix}{key}"] = value
 
-    flatten(asdict(config), "")
-    return json.dumps(flat, sort_keys=True)
+def _binds(key: str) -> bool:
+    """Whether a training can only go on with the same value of this key."""
+    if key.startswith(_SEGMENTATION):
+        return key in _BINDING
+    return key not in _FREE_KEYS

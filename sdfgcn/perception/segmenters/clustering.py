@@ -19,6 +19,9 @@ _NEIGHBOURS = np.ones((3, 3), dtype=bool)  # diagonal pixels touch: thin objects
 def cluster(points: NDArray[np.float32], config: SegmentationConfig) -> NDArray[np.int64]:
     """Cluster unit vectors by mean shift with the cosine distance (1 - cos) / 2.
 
+    Most pixels show the table and are embedded nearly alike; they take part as one point that
+    weighs as much as all of them. That saves most of the time.
+
     Args:
         points: [P, D] of length 1.
         config: Seeds, kernel and distances.
@@ -26,8 +29,16 @@ def cluster(points: NDArray[np.float32], config: SegmentationConfig) -> NDArray[
     Returns:
         [P] labels; 0 is the largest cluster.
     """
-    modes = _shifted(points, _farthest_points(points, config), config)
-    labels = np.argmax(points @ _merged(modes, config.merge_distance).T, axis=1)
+    commonest = points[np.argmax(points @ points.mean(axis=0))]
+    table = points @ commonest >= _cosine(config.table_distance)
+    center = points[table].sum(axis=0)
+    few = np.vstack([center / np.linalg.norm(center), points[~table]])
+    weights = np.ones(len(few), dtype=np.float32)
+    weights[0] = table.sum()
+    modes = _shifted(few, weights, _farthest_points(few, config), config)
+    nearest = np.argmax(few @ _merged(modes, config.merge_distance).T, axis=1)
+    labels = np.full(len(points), nearest[0])
+    labels[~table] = nearest[1:]
     sizes = np.bincount(labels)
     rank = np.empty(len(sizes), dtype=np.int64)
     rank[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
@@ -61,16 +72,19 @@ def masks_of(labels: NDArray[np.int64], config: SegmentationConfig) -> NDArray[n
     return np.stack(masks) if masks else np.zeros((0, *labels.shape), dtype=bool)
 
 
+def _cosine(distance: float) -> float:
+    return 1.0 - 2.0 * distance
+
+
 def _farthest_points(
     points: NDArray[np.float32], config: SegmentationConfig
 ) -> NDArray[np.float32]:
-    """[S, D] seeds, each the point farthest from those before it."""
-    seeds = [points[np.argmax(points @ points.mean(axis=0))]]
+    """[S, D] seeds: the first point, then always the one farthest from those before it."""
+    seeds = [points[0]]
     nearest = points @ seeds[0]  # cosine to the nearest seed
-    bound = 1.0 - 2.0 * config.seed_distance
     while len(seeds) < config.seeds:
         farthest = int(np.argmin(nearest))
-        if nearest[farthest] > bound:
+        if nearest[farthest] > _cosine(config.seed_distance):
             break
         seeds.append(points[farthest])
         np.maximum(nearest, points @ seeds[-1], out=nearest)
@@ -78,20 +92,23 @@ def _farthest_points(
 
 
 def _shifted(
-    points: NDArray[np.float32], modes: NDArray[np.float32], config: SegmentationConfig
+    points: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    modes: NDArray[np.float32],
+    config: SegmentationConfig,
 ) -> NDArray[np.float32]:
     """[S, D] where the seeds end: each step goes to the kernel-weighted mean direction."""
     for _ in range(config.iterations):
         # exp(k (cos - 1)) is exp(k cos) up to a factor that the norm takes out.
-        weights = np.exp(config.concentration * (modes @ points.T - 1.0))
-        modes = weights @ points
+        kernel = np.exp(config.concentration * (modes @ points.T - 1.0))
+        modes = (kernel * weights) @ points
         modes /= np.linalg.norm(modes, axis=1, keepdims=True)
     return modes
 
 
 def _merged(modes: NDArray[np.float32], distance: float) -> NDArray[np.float32]:
     """[K, D] one of each group of modes that lie within the distance of each other."""
-    near = modes @ modes.T >= 1.0 - 2.0 * distance
+    near = modes @ modes.T >= _cosine(distance)
     kept: list[int] = []
     for k in range(len(modes)):
         if not near[k, kept].any():
