@@ -155,6 +155,7 @@ class SegmentationConfig:
     concentration: float = MISSING
     iterations: int = MISSING
     merge_distance: float = MISSING
+    part_gap: int = MISSING
     max_hole: int | None = None
     min_pixels: int = MISSING
 

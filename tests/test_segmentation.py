@@ -123,6 +123,17 @@ def test_masks_are_connected_parts_with_holes_filled_and_specks_dropped() -> Non
     assert int(left_open[0].sum()) == 32
 
 
+def test_parts_of_a_cluster_stay_together_over_small_gaps() -> None:
+    labels = np.zeros((32, 32), dtype=np.int64)
+    labels[5:8, 2:8] = 1
+    labels[5:8, 10:16] = 1  # two pixels away
+    assert [int(mask.sum()) for mask in masks_of(labels, replace(config_of(), part_gap=2))] == [36]
+    assert len(masks_of(labels, replace(config_of(), part_gap=0))) == 2
+    labels[5:8, 10:16] = 0
+    labels[5:8, 12:18] = 1  # four pixels away
+    assert len(masks_of(labels, replace(config_of(), part_gap=2))) == 2
+
+
 def test_a_hole_that_another_object_fills_stays_its_own() -> None:
     labels = np.zeros((32, 32), dtype=np.int64)
     labels[5:20, 5:20] = 1

@@ -46,9 +46,10 @@ def cluster(points: NDArray[np.float32], config: SegmentationConfig) -> NDArray[
 
 
 def masks_of(labels: NDArray[np.int64], config: SegmentationConfig) -> NDArray[np.bool_]:
-    """Turn clusters into masks: one for each connected part of each cluster but the background.
+    """Turn clusters into masks: one for each part of each cluster but the background.
 
-    Two objects apart that the network embeds alike are two masks all the same.
+    Two objects apart that the network embeds alike are two masks all the same, while the parts of
+    a thin one that the picture shows broken stay together.
 
     Args:
         labels: [H, W] clusters; 0 is the background.
@@ -59,9 +60,10 @@ def masks_of(labels: NDArray[np.int64], config: SegmentationConfig) -> NDArray[n
     """
     masks = []
     for label in range(1, int(labels.max(initial=0)) + 1):
-        parts, n = ndimage.label(labels == label, structure=_NEIGHBOURS)
-        sizes = np.bincount(parts.ravel(), minlength=n + 1)
-        masks += [parts == k for k in range(1, n + 1) if sizes[k] >= config.min_pixels]
+        parts = _parts(labels == label, config.part_gap)
+        sizes = np.bincount(parts.ravel())
+        large = np.flatnonzero(sizes[1:] >= config.min_pixels) + 1
+        masks += [parts == k for k in large]
     taken = np.any(masks, axis=0) if masks else np.zeros(labels.shape, dtype=bool)
     masks.sort(key=lambda mask: -mask.sum())
     for k, mask in enumerate(masks):
@@ -114,6 +116,18 @@ def _merged(modes: NDArray[np.float32], distance: float) -> NDArray[np.float32]:
         if not near[k, kept].any():
             kept.append(k)
     return modes[kept]
+
+
+def _parts(members: NDArray[np.bool_], gap: int) -> NDArray[np.int64]:
+    """[H, W] the part that each pixel of a cluster belongs to, from 1 on; 0 elsewhere.
+
+    Pixels are of one part when there is a way between them that never jumps over more than `gap`
+    pixels; growing by half of that on both sides closes such a jump.
+    """
+    reach = (gap + 1) // 2
+    grown = ndimage.binary_dilation(members, _NEIGHBOURS, iterations=reach) if reach else members
+    parts, _ = ndimage.label(grown, structure=_NEIGHBOURS)
+    return parts * members
 
 
 def _holes(mask: NDArray[np.bool_], largest: int | None) -> NDArray[np.bool_]:
