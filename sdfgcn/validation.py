@@ -1,4 +1,4 @@
-"""From Hydra's config to checked dataclasses: what the types in `sdfgcn/config.py` cannot say."""
+"""From Hydra's config to checked dataclasses: what the types in `sdfgcn/config/` cannot say."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from sdfgcn.config import (
     ModelConfig,
     ObjectsConfig,
     PoseGcnConfig,
+    TrainUCNConfig,
     lookup,
 )
 from sdfgcn.errors import SdfgcnError
@@ -253,3 +254,33 @@ def validate_objects(objects: ObjectsConfig) -> None:
             f"env.objects.palette is {objects.palette}, but must list colours of three numbers "
             "between 0 and 1 (red, green, blue)."
         )
+
+
+def validate_train_ucn(config: TrainUCNConfig) -> None:
+    """Check what the types cannot say about a training of the segmentation network.
+
+    Raises:
+        SdfgcnError: One sentence that names the key, the value seen and what would work.
+    """
+    scenes = config.scenes
+    for key, value, least in (
+        ("seed", config.seed, 0),
+        ("steps", config.steps, 1),
+        ("batch", config.batch, 1),
+        ("checkpoint_steps", config.checkpoint_steps, 1),
+        ("validation_scenes", config.validation_scenes, 1),
+        ("torch_threads", config.torch_threads, 1),
+        ("scenes.layouts", scenes.layouts, 1),
+        ("scenes.appearances", scenes.appearances, 1),
+        ("scenes.workers", scenes.workers, 0),
+    ):
+        if value < least:
+            raise SdfgcnError(f"{key} is {value}, but must be at least {least}.")
+    fewest, most = scenes.n_objects
+    if not 1 <= fewest <= most:
+        raise SdfgcnError(
+            f"scenes.n_objects is {scenes.n_objects}, but must be two numbers from 1 on, the "
+            "smaller first."
+        )
+    if not config.catalogues:
+        raise SdfgcnError("catalogues is empty, but at least one object catalogue is needed.")

@@ -14,6 +14,7 @@ from sdfgcn.agents import MODELS
 from sdfgcn.loggers import LOGGERS
 from sdfgcn.objects.catalogue import SOURCES
 from sdfgcn.perception.encoders import ENCODERS
+from sdfgcn.perception.segmenters import SEGMENTERS
 from sdfgcn.sim.robots import ROBOTS
 from sdfgcn.sim.scenarios import SCENARIOS
 from sdfgcn.viz import RECORDERS
@@ -24,7 +25,6 @@ FILES = sorted((ROOT / "sdfgcn").rglob("*.py"))
 # Lowest first. A module imports its own layer and lower ones, never higher ones.
 LAYERS = (
     ("errors",),
-    ("config_learning",),
     ("config",),
     ("validation",),
     ("files", "opengl", "paper"),
@@ -58,6 +58,7 @@ REGISTRIES = {
     "objects": SOURCES,
     "robot": ROBOTS,
     "scenario": SCENARIOS,
+    "segmentation": SEGMENTERS,
     "viz": RECORDERS,
 }
 OPTIONS = sorted((path.parent.name, path.stem) for path in CONF.glob("*/*.yaml"))

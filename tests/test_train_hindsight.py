@@ -5,7 +5,7 @@ import torch
 from configs import real_config
 from tensordict import TensorDict
 
-from sdfgcn.config_learning import HerConfig
+from sdfgcn.config import HerConfig
 from sdfgcn.train.hindsight import Hindsight, relabelled
 
 ENV = real_config().env

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from sdfgcn.config_learning import CurriculumConfig
+from sdfgcn.config import CurriculumConfig
 
 
 class Counts:

@@ -11,8 +11,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from sdfgcn.config import EnvConfig
-from sdfgcn.config_learning import HerConfig
+from sdfgcn.config import EnvConfig, HerConfig
 from sdfgcn.sim.reward import reward_terms
 
 _NODE_KEYS = ("sdf", "node_mask", "center")

@@ -1,0 +1,83 @@
+"""Every config dataclass: the types behind the YAML files of `conf/`.
+
+The numbers live in YAML. A dataclass here names each key and types it; what a type cannot check,
+`sdfgcn/validation.py` does, in sentences. Nothing mutates a config once it is built.
+"""
+
+from sdfgcn.config.base import N_DIRECTIONS, SPLITS, lookup
+from sdfgcn.config.env import (
+    ArenaConfig,
+    EncoderConfig,
+    EnvConfig,
+    ObjectsConfig,
+    PerceptionConfig,
+    PhysicsConfig,
+    PushConfig,
+    RewardConfig,
+    RobotConfig,
+    ScenarioConfig,
+    SegmentationConfig,
+)
+from sdfgcn.config.experiment import (
+    Config,
+    EvalConfig,
+    LoggerConfig,
+    RuntimeConfig,
+    VizConfig,
+    register_schema,
+)
+from sdfgcn.config.model import (
+    MODEL_CONFIGS,
+    ConvGcnConfig,
+    ConvModelConfig,
+    ConvWidthConfig,
+    ModelConfig,
+    PoseGcnConfig,
+)
+from sdfgcn.config.train import (
+    AugmentConfig,
+    BudgetConfig,
+    CollectorConfig,
+    CurriculumConfig,
+    HerConfig,
+    ScenesConfig,
+    TrainConfig,
+    TrainUCNConfig,
+)
+
+__all__ = [
+    "MODEL_CONFIGS",
+    "N_DIRECTIONS",
+    "SPLITS",
+    "ArenaConfig",
+    "AugmentConfig",
+    "BudgetConfig",
+    "CollectorConfig",
+    "Config",
+    "ConvGcnConfig",
+    "ConvModelConfig",
+    "ConvWidthConfig",
+    "CurriculumConfig",
+    "EncoderConfig",
+    "EnvConfig",
+    "EvalConfig",
+    "HerConfig",
+    "LoggerConfig",
+    "ModelConfig",
+    "ObjectsConfig",
+    "PerceptionConfig",
+    "PhysicsConfig",
+    "PoseGcnConfig",
+    "PushConfig",
+    "RewardConfig",
+    "RobotConfig",
+    "RuntimeConfig",
+    "ScenarioConfig",
+    "ScenesConfig",
+    "SegmentationConfig",
+    "TrainConfig",
+    "TrainUCNConfig",
+    "VizConfig",
+    "lookup",
+    "register_schema",
+]

@@ -1,0 +1,192 @@
+"""The task and everything it stands on: the dataclasses below `env` in the config."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from omegaconf import MISSING
+
+
+@dataclass
+class ObjectsConfig:
+    """Which object catalogue stands on the table (`conf/objects/`)."""
+
+    name: str = MISSING
+    footprint_min: float = MISSING
+    footprint_max: float = MISSING
+    height_max: float = MISSING
+    thickness_min: float = MISSING
+    mass_min: float = MISSING
+    mass_max: float = MISSING
+    density: float = MISSING
+    max_faces: int = MISSING
+    max_pieces: int = MISSING
+    max_piece_vertices: int = MISSING
+    texture_size: int = MISSING
+    settle_drops: int = MISSING
+    settle_seconds: float = MISSING
+    settle_speed: float = MISSING
+    settle_friction: list[float] = MISSING
+    settle_min_probability: float = MISSING
+    settle_min_tilt: float = MISSING
+    palette: list[list[float]] = MISSING
+    root: str | None = None
+    split_file: str | None = None
+
+
+@dataclass
+class RobotConfig:
+    """What executes the push (`conf/robot/`); a key that a robot has no use for is zero."""
+
+    name: str = MISSING
+    home: list[float] = MISSING
+    lead: float = MISSING
+    base_position: list[float] = field(default_factory=list)
+    ik_tolerance: float = 0.0
+    ik_steps: int = 0
+    stiffness: float = 0.0
+    yaw_stiffness: float = 0.0
+    force_limit: float = 0.0
+
+
+@dataclass
+class ScenarioConfig:
+    """How start and goal layouts are drawn (`conf/scenario/`)."""
+
+    name: str = MISSING
+    spacing: float = MISSING
+    gap: float = MISSING
+    max_tries: int = MISSING
+
+
+@dataclass
+class ArenaConfig:
+    """Table, light, camera and the regions on the table (`conf/env/`)."""
+
+    spawn_x: list[float] = MISSING
+    spawn_y: list[float] = MISSING
+    range_x: list[float] = MISSING
+    range_y: list[float] = MISSING
+    reach_x: list[float] = MISSING
+    reach_y: list[float] = MISSING
+    table_rgba: list[float] = MISSING
+    camera_tilt: float = MISSING
+    camera_fovy: float = MISSING
+    camera_distance: float = MISSING
+    camera_target: list[float] = MISSING
+    image_size: int = MISSING
+
+
+@dataclass
+class PhysicsConfig:
+    """MuJoCo options and contact parameters (`conf/env/`)."""
+
+    timestep: float = MISSING
+    cone: str = MISSING
+    impratio: float = MISSING
+    ccd_tolerance: float = MISSING
+    sliding_friction: float = MISSING
+    rolling_friction: float = MISSING
+    solref: list[float] = MISSING
+    sleep_tolerance: float = MISSING
+    settle_seconds: float = MISSING
+
+
+@dataclass
+class PushConfig:
+    """The push primitive (`conf/env/`)."""
+
+    length: float = MISSING
+    touch: bool = MISSING
+    clearance: float = MISSING
+    walk: float = MISSING
+    height: float = MISSING
+    approach: float = MISSING
+    speed: float = MISSING
+    descent_speed: float = MISSING
+    brake: float = MISSING
+    retreat: float = MISSING
+    lift_speed: float = MISSING
+    control_timestep: float = MISSING
+    knot: float = MISSING
+    plane_height: float = MISSING
+
+
+@dataclass
+class RewardConfig:
+    """Reward terms (`conf/env/`; paper section IV d and the authors' code)."""
+
+    progress: float = MISSING
+    step: float = MISSING
+    floor: float = MISSING
+    success: float = MISSING
+    out_of_range: float = MISSING
+    vanished: float = MISSING
+    none_left: float = MISSING
+
+
+@dataclass
+class EncoderConfig:
+    """What tells objects apart for matching (`conf/encoder/`)."""
+
+    name: str = MISSING
+    path: str | None = None
+    depth: int = 0
+    stages: list[int] = MISSING
+    patch: float = MISSING
+    input_size: int = MISSING
+    rotations: int = MISSING
+    color_weight: float = MISSING
+    camera_tilt: float = MISSING
+
+
+@dataclass
+class SegmentationConfig:
+    """How masks are found in a picture (`conf/segmentation/`)."""
+
+    name: str = MISSING
+    weights: str | None = None
+    channels: int = MISSING
+    widths: list[int] = MISSING
+    embedding: int = MISSING
+    table_distance: float = MISSING
+    seeds: int = MISSING
+    seed_distance: float = MISSING
+    concentration: float = MISSING
+    iterations: int = MISSING
+    merge_distance: float = MISSING
+    part_gap: int = MISSING
+    max_hole: int | None = None
+    min_pixels: int = MISSING
+
+
+@dataclass
+class PerceptionConfig:
+    """Picture -> masks -> SDFs (`conf/perception/`)."""
+
+    name: str = MISSING
+    min_pixels: int = MISSING
+    sdf: str = MISSING
+    encoder: EncoderConfig = field(default_factory=EncoderConfig)
+    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
+
+
+@dataclass
+class EnvConfig:
+    """The task and everything it stands on (`conf/env/`)."""
+
+    name: str = MISSING
+    n_objects: int = MISSING
+    max_objects: int = MISSING
+    split: str = MISSING
+    pushes_per_object: int = MISSING
+    success_threshold: float = MISSING
+    pixels: bool = MISSING
+    arena: ArenaConfig = field(default_factory=ArenaConfig)
+    physics: PhysicsConfig = field(default_factory=PhysicsConfig)
+    push: PushConfig = field(default_factory=PushConfig)
+    reward: RewardConfig = field(default_factory=RewardConfig)
+    objects: ObjectsConfig = field(default_factory=ObjectsConfig)
+    robot: RobotConfig = field(default_factory=RobotConfig)
+    scenario: ScenarioConfig = field(default_factory=ScenarioConfig)
+    perception: PerceptionConfig = field(default_factory=PerceptionConfig)

@@ -1,0 +1,158 @@
+"""The training pictures: rendered once by all workers, cached, and read into memory.
+
+The pictures come in shards. A shard follows from the seed and its number alone, so a render that
+was cut off goes on with the shards that are missing.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import zipfile
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from tqdm import tqdm
+
+from sdfgcn.config import TrainUCNConfig
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
+from sdfgcn.objects.storage import cache_dir
+from sdfgcn.perception.scenes import SceneWorld
+
+FORMAT = 1  # raise it whenever the same settings would now give other pictures
+SHARD = 100  # arrangements in a shard
+
+
+@dataclass(frozen=True)
+class Pictures:
+    """Pictures with their true labels.
+
+    Attributes:
+        pixels: [P, H, W, 3] RGB.
+        labels: [P, H, W] 0 for the table, 1 to n for objects.
+    """
+
+    pixels: NDArray[np.uint8]
+    labels: NDArray[np.uint8]
+
+
+def load_pictures(config: TrainUCNConfig) -> Pictures:
+    """Render what is missing of the training pictures and read them all.
+
+    Raises:
+        SdfgcnError: A cached shard is damaged.
+    """
+    folder = pictures_folder(config)
+    folder.mkdir(parents=True, exist_ok=True)
+    for catalogue in config.catalogues.values():
+        load_catalogue(catalogue, "train")  # once, before workers would each build it
+    shards = _shards(config)
+    missing = [shard for shard in shards if not (folder / shard.file).exists()]
+    with tqdm(
+        total=len(missing) * SHARD * config.scenes.appearances,
+        desc="Rendering",
+        unit="picture",
+        disable=None,
+    ) as bar:
+        for count in _render_all(config, folder, missing):
+            bar.update(count)
+    return _read([folder / shard.file for shard in shards])
+
+
+def pictures_folder(config: TrainUCNConfig) -> Path:
+    """The folder in which pictures with these settings are cached."""
+    scenes = {k: v for k, v in asdict(config.scenes).items() if k not in ("workers", "layouts")}
+    settings = {
+        "format": [FORMAT, SHARD],
+        "scenes": scenes,
+        "arena": asdict(config.env.arena),
+        "physics": asdict(config.env.physics),
+        "catalogues": {
+            name: [catalogue_folder(objects).name, objects.palette]
+            for name, objects in config.catalogues.items()
+        },
+    }
+    key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
+    return cache_dir() / "segmentation" / key
+
+
+@dataclass(frozen=True)
+class Shard:
+    """Arrangements that are rendered together.
+
+    Attributes:
+        catalogue: Which catalogue the objects are from.
+        number: Its number within that catalogue.
+    """
+
+    catalogue: str
+    number: int
+
+    @property
+    def file(self) -> str:
+        """Its file's name."""
+        return f"{self.catalogue}-{self.number:04d}.npz"
+
+
+def _shards(config: TrainUCNConfig) -> list[Shard]:
+    """As many of each catalogue, so that more layouts add shards and change none."""
+    each = -(-config.scenes.layouts // (SHARD * len(config.catalogues)))
+    return [Shard(name, number) for number in range(each) for name in sorted(config.catalogues)]
+
+
+def _render_all(config: TrainUCNConfig, folder: Path, missing: Sequence[Shard]) -> Iterator[int]:
+    """Render shards in worker processes; yields how many pictures each has."""
+    if config.scenes.workers == 0 or len(missing) < 2:
+        yield from (render_shard(config, folder, shard) for shard in missing)
+        return
+    context = multiprocessing.get_context("spawn")  # OpenGL does not survive a fork
+    with ProcessPoolExecutor(config.scenes.workers, mp_context=context) as pool:
+        jobs = [pool.submit(render_shard, config, folder, shard) for shard in missing]
+        for job in as_completed(jobs):
+            yield job.result()
+
+
+def render_shard(config: TrainUCNConfig, folder: Path, shard: Shard) -> int:
+    """Render one shard and write its file in one step.
+
+    Returns:
+        The number of its pictures.
+    """
+    objects = config.catalogues[shard.catalogue]
+    env = replace(config.env, objects=objects)
+    order = sorted(config.catalogues).index(shard.catalogue)
+    pixels, labels = [], []
+    world = SceneWorld(env, load_catalogue(objects, "train"), config.scenes)
+    with closing(world):
+        for layout in range(SHARD):
+            rng = np.random.default_rng([config.scenes.seed, order, shard.number, layout])
+            for picture, truth in world.pictures(rng):
+                pixels.append(picture)
+                labels.append(truth)
+    part = folder / f".{shard.file}.part"
+    with part.open("wb") as file:
+        np.savez(file, pixels=np.stack(pixels), labels=np.stack(labels))
+    part.replace(folder / shard.file)
+    return len(pixels)
+
+
+def _read(files: Sequence[Path]) -> Pictures:
+    pixels, labels = [], []
+    for file in tqdm(files, desc="Reading pictures", unit="shard", disable=None):
+        try:
+            with np.load(file, allow_pickle=False) as arrays:
+                pixels.append(arrays["pixels"])
+                labels.append(arrays["labels"])
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise SdfgcnError(
+                f"The cached pictures {file} are damaged ({error}); delete that file and run "
+                "again to render them anew."
+            ) from error
+    return Pictures(np.concatenate(pixels), np.concatenate(labels))

@@ -1,0 +1,155 @@
+"""Arrangements of training objects, rendered with true labels.
+
+Objects lie apart, against each other, or on top of each other; one arrangement is pictured
+several times in different looks, because a look costs far less than a settled arrangement.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from dm_control import composer
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+from shapely import Polygon
+from shapely.affinity import translate
+
+from sdfgcn.config import EnvConfig, ScenesConfig
+from sdfgcn.objects.model import ObjectModel, Rest
+from sdfgcn.perception.appearance import Appearance, paint
+from sdfgcn.sim.episode import Episode
+from sdfgcn.sim.placement import Region, footprint
+from sdfgcn.sim.renderer import Renderer
+from sdfgcn.sim.task import RearrangementTask
+
+MAX_TRIES = 60  # places tried for an object before it is left out
+SLIDE = 0.002  # m, step in which an object slides up to the one it shall touch
+
+
+class SceneWorld:
+    """One catalogue compiled into one world, pictured again and again."""
+
+    def __init__(
+        self, env: EnvConfig, catalogue: Sequence[ObjectModel], scenes: ScenesConfig
+    ) -> None:
+        """Compile the world.
+
+        Args:
+            env: Arena, robot and physics.
+            catalogue: The objects; training objects, for a segmenter.
+            scenes: What to draw.
+        """
+        self._catalogue, self._scenes, self._env = catalogue, scenes, env
+        physics = replace(env.physics, settle_seconds=scenes.settle_seconds)
+        self._task = RearrangementTask(replace(env, physics=physics), catalogue)
+        self._environment = composer.Environment(self._task)
+        self._physics = self._environment.physics
+        self._renderer = Renderer(self._physics, env.arena.image_size)
+        self._appearance = Appearance(self._physics, env.arena, scenes)
+        low, high = Region.spawn(env.arena).low, Region.spawn(env.arena).high
+        self._region = Region(low - scenes.margin, high + scenes.margin)
+
+    def pictures(
+        self, rng: np.random.Generator
+    ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
+        """Draw one arrangement and picture it in each of its looks.
+
+        Yields:
+            [H, W, 3] the picture, and [H, W] its labels: 0 for the table, 1 to n for objects.
+        """
+        self._appearance.reset()
+        self._task.begin(self._draw(rng))
+        self._task.initialize_episode(self._physics, np.random.RandomState(0))
+        geoms = np.flatnonzero(self._task.slot_of_geom[:-1] >= 0)
+        for _ in range(self._scenes.appearances):
+            plain = rng.random() < self._scenes.plain
+            if plain:
+                self._appearance.reset()
+                self._appearance.colour_from(rng, geoms, self._env.objects.palette)
+            else:
+                self._appearance.draw(rng, geoms)
+            labels = (self._task.slot_of_geom[self._renderer.geom_ids()] + 1).astype(np.uint8)
+            pixels = self._renderer.pixels()
+            yield (pixels if plain else paint(rng, pixels, labels, self._scenes.textured)), labels
+
+    def close(self) -> None:
+        """Free the world."""
+        self._environment.close()
+
+    def _draw(self, rng: np.random.Generator) -> Episode:
+        """An arrangement as the start of an episode without a goal of its own."""
+        kind = rng.random()
+        stacked = kind < self._scenes.stacked
+        touching = kind < self._scenes.stacked + self._scenes.touching
+        fewest, most = self._scenes.n_objects
+        n = int(rng.integers(fewest, most + 1))
+        shapes: list[Polygon] = []
+        poses: list[NDArray[np.float64]] = []
+        kept: list[int] = []
+        for index in rng.choice(len(self._catalogue), size=n, replace=False):
+            model = self._catalogue[index]
+            rest = _draw_rest(rng, model)
+            quat = _turned(rng, rest)
+            if stacked and poses and rng.random() < 0.5:
+                poses.append(self._above(rng, rest, poses))
+                kept.append(index)
+                continue
+            shape = footprint(model.vertices, quat)
+            close = bool(touching and shapes and rng.random() < 0.7)
+            point = self._place(rng, shape, shapes, close)
+            if point is not None:
+                shapes.append(translate(shape, *point))
+                poses.append(np.hstack([point, rest.height, quat]))
+                kept.append(index)
+        start = np.stack(poses)
+        white = np.ones((len(kept), 4))  # each look has colours of its own
+        return Episode(seed=0, objects=np.array(kept), start=start, goal=start, colors=white)
+
+    def _above(
+        self, rng: np.random.Generator, rest: Rest, poses: Sequence[NDArray[np.float64]]
+    ) -> NDArray[np.float64]:
+        """[7] a pose in the air above one of the others, turned at random."""
+        below = poses[int(rng.integers(len(poses)))]
+        point = below[:2] + rng.normal(0.0, 0.02, 2)
+        height = below[2] + rest.radius + self._scenes.drop_height
+        return np.hstack([point, height, Rotation.random(rng=rng).as_quat(scalar_first=True)])
+
+    def _place(
+        self, rng: np.random.Generator, shape: Polygon, others: Sequence[Polygon], close: bool
+    ) -> NDArray[np.float64] | None:
+        """[2] a free place, metres; with `close`, against one of the others. None: no room."""
+        for _ in range(MAX_TRIES):
+            point = rng.uniform(self._region.low, self._region.high)
+            if close:
+                other = others[int(rng.integers(len(others)))]
+                point = _slide(rng, shape, other)
+            there = translate(shape, *point)
+            free = all(there.distance(other) > 0.0 for other in others)
+            if free and self._region.contains(point):
+                return point
+        return None
+
+
+def _slide(rng: np.random.Generator, shape: Polygon, other: Polygon) -> NDArray[np.float64]:
+    """[2] the place against `other`, come to from a random side, metres."""
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    away = np.array([np.cos(angle), np.sin(angle)])
+    center = np.array(other.centroid.coords[0]) + rng.normal(0.0, 0.01, 2)
+    for distance in np.arange(0.0, 0.3, SLIDE):
+        point = center + distance * away
+        if translate(shape, *point).distance(other) > 0.0:
+            return point
+    return center + 0.3 * away
+
+
+def _draw_rest(rng: np.random.Generator, model: ObjectModel) -> Rest:
+    share = np.array([rest.probability for rest in model.rests])
+    return model.rests[rng.choice(len(model.rests), p=share / share.sum())]
+
+
+def _turned(rng: np.random.Generator, rest: Rest) -> NDArray[np.float64]:
+    """[4] the resting orientation (w, x, y, z), turned by a random yaw."""
+    turn = Rotation.from_euler("z", rng.uniform(0.0, 2.0 * np.pi))
+    return (turn * Rotation.from_quat(rest.quat, scalar_first=True)).as_quat(scalar_first=True)

@@ -1,0 +1,117 @@
+"""How well a segmenter does on the environment's own scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import closing
+from dataclasses import dataclass, replace
+
+import mujoco
+import numpy as np
+from dm_control import composer, mjcf
+from numpy.typing import NDArray
+
+from sdfgcn.config import EnvConfig
+from sdfgcn.objects.model import ObjectModel
+from sdfgcn.perception.metrics import MaskScores, score_masks
+from sdfgcn.perception.segmentation import detected, oracle_masks
+from sdfgcn.sim.episode import draw_episode
+from sdfgcn.sim.renderer import Renderer
+from sdfgcn.sim.task import RearrangementTask
+
+
+@dataclass(frozen=True)
+class SceneView:
+    """The start of an episode as the camera sees it.
+
+    Attributes:
+        seed: What the episode was drawn from.
+        pixels: [H, W, 3] RGB.
+        masks: [n, H, W] true masks of the objects that can be detected at all.
+        n_objects: Objects on the table, detectable or not.
+    """
+
+    seed: int
+    pixels: NDArray[np.uint8]
+    masks: NDArray[np.bool_]
+    n_objects: int
+
+
+Relight = Callable[[mjcf.Physics, np.random.Generator], None]
+
+
+def views(
+    env: EnvConfig,
+    catalogue: Sequence[ObjectModel],
+    n_objects: Sequence[int],
+    scenes: int,
+    relight: Relight | None = None,
+) -> Iterator[SceneView]:
+    """Picture the start of episodes 0 to `scenes` - 1 of each number of objects.
+
+    Args:
+        env: The environment; its own split and number of objects do not matter.
+        catalogue: The objects to draw from.
+        n_objects: Numbers of objects.
+        scenes: Scenes of each number.
+        relight: Changes the look of the compiled model before each picture, given the physics and
+            a generator seeded by the episode.
+    """
+    task = RearrangementTask(env, catalogue)
+    with closing(composer.Environment(task)) as environment:
+        physics = environment.physics
+        renderer = Renderer(physics, env.arena.image_size)
+        for n in n_objects:
+            for seed in range(scenes):
+                task.begin(draw_episode(seed, catalogue, replace(env, n_objects=n)))
+                task.initialize_episode(physics, np.random.RandomState(seed))
+                if relight is not None:
+                    relight(physics, np.random.default_rng([seed, n]))
+                masks = oracle_masks(renderer.geom_ids(), task.slot_of_geom, n)
+                seen = detected(masks, env.perception.min_pixels)
+                yield SceneView(seed, renderer.pixels(), masks[seen], n)
+
+
+def shifted_look(physics: mjcf.Physics, rng: np.random.Generator) -> None:
+    """Draw another light and another table colour; for `views`.
+
+    Args:
+        physics: The compiled world, changed in place.
+        rng: Source of randomness.
+    """
+    model = physics.model
+    lamp, table = model.name2id("lamp", "light"), model.name2id("table", "geom")
+    place = np.array([*rng.uniform(-0.8, 0.8, 2), rng.uniform(1.0, 2.0)])
+    model.light_pos[lamp] = place
+    model.light_dir[lamp] = -place / np.linalg.norm(place)
+    model.light_diffuse[lamp] = rng.uniform(0.3, 0.9)
+    model.vis.headlight.ambient[:] = rng.uniform(0.2, 0.5)
+    model.vis.headlight.diffuse[:] = rng.uniform(0.1, 0.5)
+    model.geom_rgba[table, :3] = rng.uniform(0.1, 0.9, 3)
+    mujoco.mj_camlight(model.ptr, physics.data.ptr)
+
+
+def score(
+    segment: Callable[[NDArray[np.uint8]], NDArray[np.bool_]], scenes: Iterable[SceneView]
+) -> list[tuple[SceneView, NDArray[np.bool_], MaskScores]]:
+    """Segment every scene; returns each with the masks found and their scores."""
+    rows = []
+    for scene in scenes:
+        masks = segment(scene.pixels)
+        rows.append((scene, masks, score_masks(masks, scene.masks)))
+    return rows
+
+
+def summary(scores: Sequence[MaskScores]) -> dict[str, float]:
+    """Means over pictures, as shares from 0 to 1."""
+    return {
+        "overlap_f": _mean(s.overlap.f for s in scores),
+        "overlap_precision": _mean(s.overlap.precision for s in scores),
+        "overlap_recall": _mean(s.overlap.recall for s in scores),
+        "boundary_f": _mean(s.boundary.f for s in scores),
+        "count_right": _mean(s.found == s.true for s in scores),
+    }
+
+
+def _mean(values: Iterable[float]) -> float:
+    return float(np.mean(list(values)))

@@ -1,0 +1,20 @@
+"""Segmenters: from an RGB picture to object masks, by `segmentation=` in the config.
+
+A segmenter is made from its config and called with a picture [H, W, 3] uint8; it returns disjoint
+masks [m, H, W] bool without the background, in any order, m = 0 included. The same picture gives
+the same masks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdfgcn.config import SegmentationConfig
+from sdfgcn.perception.segmenters.ucn import UCNSegmenter
+
+Segmenter = Callable[[NDArray[np.uint8]], NDArray[np.bool_]]
+
+SEGMENTERS: dict[str, Callable[[SegmentationConfig], Segmenter]] = {"ucn": UCNSegmenter}

@@ -1,0 +1,144 @@
+"""From embeddings to masks: mean shift on the unit sphere, and tidying up.
+
+As in unseen object clustering (Xiang et al. 2020): seeds by farthest point, mean shift with a von
+Mises-Fisher kernel, near modes merged, the largest cluster is the background. Here the first seed
+is not drawn but the pixel nearest to the mean, so that a picture always gives the same masks.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from sdfgcn.config import SegmentationConfig
+
+_NEIGHBOURS = np.ones((3, 3), dtype=bool)  # diagonal pixels touch: thin objects stay whole
+
+
+def cluster(points: NDArray[np.float32], config: SegmentationConfig) -> NDArray[np.int64]:
+    """Cluster unit vectors by mean shift with the cosine distance (1 - cos) / 2.
+
+    Most pixels show the table and are embedded nearly alike; they take part as one point that
+    weighs as much as all of them. That saves most of the time.
+
+    Args:
+        points: [P, D] of length 1.
+        config: Seeds, kernel and distances.
+
+    Returns:
+        [P] labels; 0 is the largest cluster.
+    """
+    commonest = points[np.argmax(points @ points.mean(axis=0))]
+    table = points @ commonest >= _cosine(config.table_distance)
+    center = points[table].sum(axis=0)
+    few = np.vstack([center / np.linalg.norm(center), points[~table]])
+    weights = np.ones(len(few), dtype=np.float32)
+    weights[0] = table.sum()
+    modes = _shifted(few, weights, _farthest_points(few, config), config)
+    nearest = np.argmax(few @ _merged(modes, config.merge_distance).T, axis=1)
+    labels = np.full(len(points), nearest[0])
+    labels[~table] = nearest[1:]
+    sizes = np.bincount(labels)
+    rank = np.empty(len(sizes), dtype=np.int64)
+    rank[np.argsort(-sizes, kind="stable")] = np.arange(len(sizes))
+    return rank[labels]
+
+
+def masks_of(labels: NDArray[np.int64], config: SegmentationConfig) -> NDArray[np.bool_]:
+    """Turn clusters into masks: one for each part of each cluster but the background.
+
+    Two objects apart that the network embeds alike are two masks all the same, while the parts of
+    a thin one that the picture shows broken stay together.
+
+    Args:
+        labels: [H, W] clusters; 0 is the background.
+        config: Least size of a mask, and which holes are filled.
+
+    Returns:
+        [m, H, W] disjoint masks, the largest first; m may be 0.
+    """
+    masks = []
+    for label in range(1, int(labels.max(initial=0)) + 1):
+        parts = _parts(labels == label, config.part_gap)
+        sizes = np.bincount(parts.ravel())
+        large = np.flatnonzero(sizes[1:] >= config.min_pixels) + 1
+        masks += [parts == k for k in large]
+    taken = np.any(masks, axis=0) if masks else np.zeros(labels.shape, dtype=bool)
+    masks.sort(key=lambda mask: -mask.sum())
+    for k, mask in enumerate(masks):
+        filled = mask | (_holes(mask, config.max_hole) & ~taken)
+        taken |= filled
+        masks[k] = filled
+    masks.sort(key=lambda mask: -mask.sum())
+    return np.stack(masks) if masks else np.zeros((0, *labels.shape), dtype=bool)
+
+
+def _cosine(distance: float) -> float:
+    return 1.0 - 2.0 * distance
+
+
+def _farthest_points(
+    points: NDArray[np.float32], config: SegmentationConfig
+) -> NDArray[np.float32]:
+    """[S, D] seeds: the first point, then always the one farthest from those before it."""
+    seeds = [points[0]]
+    nearest = points @ seeds[0]  # cosine to the nearest seed
+    while len(seeds) < config.seeds:
+        farthest = int(np.argmin(nearest))
+        if nearest[farthest] > _cosine(config.seed_distance):
+            break
+        seeds.append(points[farthest])
+        np.maximum(nearest, points @ seeds[-1], out=nearest)
+    return np.stack(seeds)
+
+
+def _shifted(
+    points: NDArray[np.float32],
+    weights: NDArray[np.float32],
+    modes: NDArray[np.float32],
+    config: SegmentationConfig,
+) -> NDArray[np.float32]:
+    """[S, D] where the seeds end: each step goes to the kernel-weighted mean direction."""
+    for _ in range(config.iterations):
+        # exp(k (cos - 1)) is exp(k cos) up to a factor that the norm takes out.
+        kernel = np.exp(config.concentration * (modes @ points.T - 1.0))
+        modes = (kernel * weights) @ points
+        modes /= np.linalg.norm(modes, axis=1, keepdims=True)
+    return modes
+
+
+def _merged(modes: NDArray[np.float32], distance: float) -> NDArray[np.float32]:
+    """[K, D] one of each group of modes that lie within the distance of each other."""
+    near = modes @ modes.T >= _cosine(distance)
+    kept: list[int] = []
+    for k in range(len(modes)):
+        if not near[k, kept].any():
+            kept.append(k)
+    return modes[kept]
+
+
+def _parts(members: NDArray[np.bool_], gap: int) -> NDArray[np.int64]:
+    """[H, W] the part that each pixel of a cluster belongs to, from 1 on; 0 elsewhere.
+
+    Pixels are of one part when there is a way between them that never jumps over more than `gap`
+    pixels; growing by half of that on both sides closes such a jump.
+    """
+    reach = (gap + 1) // 2
+    grown = ndimage.binary_dilation(members, _NEIGHBOURS, iterations=reach) if reach else members
+    parts, _ = ndimage.label(grown, structure=_NEIGHBOURS)
+    return parts * members
+
+
+def _holes(mask: NDArray[np.bool_], largest: int | None) -> NDArray[np.bool_]:
+    """[H, W] pixels outside a mask that it encloses, in holes of at most `largest` pixels."""
+    holes = np.zeros_like(mask)
+    (box,) = ndimage.find_objects(mask.astype(np.int8))
+    inside = ndimage.binary_fill_holes(mask[box]) & ~mask[box]
+    if largest is not None and inside.any():
+        parts, _ = ndimage.label(inside)
+        small = np.bincount(parts.ravel()) <= largest
+        small[0] = False
+        inside = small[parts]
+    holes[box] = inside
+    return holes

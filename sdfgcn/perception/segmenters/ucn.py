@@ -1,0 +1,125 @@
+"""Unseen object clustering as a segmenter: the trained network and mean shift."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import safetensors.torch
+import torch
+from numpy.typing import NDArray
+from safetensors import SafetensorError, safe_open
+
+from sdfgcn.config import SegmentationConfig
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.perception.segmenters.clustering import cluster, masks_of
+from sdfgcn.perception.segmenters.network import UCN
+
+SHIPPED = Path(__file__).parents[1] / "weights" / "ucn.safetensors"
+
+
+class UCNSegmenter:
+    """RGB picture -> object masks; see `conf/segmentation/ucn.yaml` for its settings."""
+
+    def __init__(self, config: SegmentationConfig, network: UCN | None = None) -> None:
+        """Load the weights, unless a network is handed over (one in training).
+
+        Raises:
+            SdfgcnError: The file is missing, damaged, or of a network of other widths.
+        """
+        self._config = config
+        self._network = network or load_network(config)
+
+    def __call__(self, pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
+        """Find the objects.
+
+        Args:
+            pixels: [H, W, 3] RGB.
+
+        Returns:
+            [m, H, W] disjoint masks, the largest first; m may be 0.
+
+        Raises:
+            SdfgcnError: The network cannot take pictures of this size.
+        """
+        return masks_of(self.clusters(pixels), self._config)
+
+    def clusters(self, pixels: NDArray[np.uint8]) -> NDArray[np.int64]:
+        """[H, W] the cluster of each pixel before masks are made; 0 is the background."""
+        embeddings = self.embeddings(pixels)
+        points = embeddings.reshape(-1, embeddings.shape[-1])
+        return cluster(points, self._config).reshape(embeddings.shape[:2])
+
+    def embeddings(self, pixels: NDArray[np.uint8]) -> NDArray[np.float32]:
+        """[H, W, D] the unit embedding of each pixel."""
+        stride = self._network.stride
+        if pixels.shape[0] % stride or pixels.shape[1] % stride:
+            raise SdfgcnError(
+                f"env.arena.image_size is {pixels.shape[0]}, but the segmentation network needs a "
+                f"multiple of {stride}."
+            )
+        with torch.inference_mode():
+            picture = torch.from_numpy(pixels).permute(2, 0, 1)[None] / 255.0
+            return self._network(picture)[0].permute(1, 2, 0).contiguous().numpy()
+
+
+def make_network(config: SegmentationConfig) -> UCN:
+    """An untrained network of the configured size."""
+    return UCN(config.channels, config.widths, config.embedding)
+
+
+def load_network(config: SegmentationConfig) -> UCN:
+    """The trained network.
+
+    Raises:
+        SdfgcnError: The file is missing, damaged, or of a network of other widths.
+    """
+    path = SHIPPED if config.weights is None else Path(config.weights).expanduser()
+    network = make_network(config)
+    try:
+        with safe_open(path, framework="pt") as file:
+            sizes = json.loads((file.metadata() or {}).get("sizes", "null"))
+        tensors = safetensors.torch.load_file(path)
+    except (OSError, SafetensorError, ValueError) as error:
+        raise SdfgcnError(
+            f"The segmentation weights {path} cannot be read ({str(error).splitlines()[0]}); set "
+            "env.perception.segmentation.weights to a file that "
+            "`python -m sdfgcn.perception.train_ucn` wrote, or to null for the shipped ones."
+        ) from error
+    if sizes != network_sizes(config):
+        raise SdfgcnError(
+            f"The segmentation weights {path} are of a network with {_told(sizes)}, but "
+            f"env.perception.segmentation asks for {_told(network_sizes(config))}; use the same "
+            "sizes or train weights for these."
+        )
+    try:
+        network.load_state_dict(tensors)
+    except RuntimeError as error:
+        raise SdfgcnError(
+            f"The segmentation weights {path} lack layers or have others than this network; train "
+            "them anew with `python -m sdfgcn.perception.train_ucn`."
+        ) from error
+    return network.eval()
+
+
+def save_network(network: UCN, config: SegmentationConfig, path: Path) -> None:
+    """Write weights in one step, with the sizes of their network."""
+    part = path.with_name(f".{path.name}.part")
+    tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
+    metadata = {"sizes": json.dumps(network_sizes(config))}
+    safetensors.torch.save_file(tensors, part, metadata=metadata)
+    part.replace(path)
+
+
+def network_sizes(config: SegmentationConfig) -> dict[str, object]:
+    """What the shapes of the weights follow from."""
+    return {
+        "channels": config.channels,
+        "widths": list(config.widths),
+        "embedding": config.embedding,
+    }
+
+
+def _told(sizes: dict[str, object] | None) -> str:
+    return ", ".join(f"{key} {value}" for key, value in (sizes or {}).items()) or "unknown sizes"

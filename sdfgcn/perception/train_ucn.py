@@ -1,0 +1,69 @@
+"""Train the segmentation network: `python -m sdfgcn.perception.train_ucn`.
+
+Takes overrides as `run.py` does; `conf/train_ucn.yaml` has the keys. The folder `out` holds the
+config, a checkpoint, `metrics.csv` and, in the end, `ucn.safetensors`; the same folder goes on
+with a training that was cut off.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo loads: render without a display
+
+import hydra
+import torch
+from hydra.core.config_store import ConfigStore
+from hydra.errors import HydraException
+from omegaconf import DictConfig, OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from sdfgcn.config import TrainUCNConfig
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.opengl import check_opengl
+from sdfgcn.perception.ucn_training import train
+from sdfgcn.validation import validate_train_ucn
+
+ConfigStore.instance().store(name="train_ucn_schema", node=TrainUCNConfig)
+
+
+def typed(cfg: DictConfig) -> TrainUCNConfig:
+    """Turn Hydra's config into dataclasses and validate it.
+
+    Raises:
+        SdfgcnError: A value is out of its range.
+        OmegaConfBaseException: A key is unknown or a value is missing.
+    """
+    values = OmegaConf.to_container(cfg, resolve=True)
+    config = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(TrainUCNConfig), values))
+    assert isinstance(config, TrainUCNConfig)
+    validate_train_ucn(config)
+    return config
+
+
+@hydra.main(config_path="../../conf", config_name="train_ucn", version_base="1.3")
+def main(cfg: DictConfig) -> None:
+    """Train, and say where the weights are."""
+    config = typed(cfg)
+    check_opengl()
+    torch.set_num_threads(config.torch_threads)
+    print(f"Wrote {train(config, Path(config.out))}.")
+
+
+def run() -> int:
+    """Run the command; a mistake that the user can mend is one sentence on stderr."""
+    os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises then, instead of printing lines of its own
+    try:
+        main()
+    except (SdfgcnError, HydraException, OmegaConfBaseException) as error:
+        print(str(error).splitlines()[0], file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(run())

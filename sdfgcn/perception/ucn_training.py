@@ -1,0 +1,277 @@
+"""The training loop of the segmentation network, and what it keeps on disk."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import pickle
+import time
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from filelock import FileLock, Timeout
+from tqdm import tqdm
+
+from sdfgcn.config import TrainUCNConfig
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import write_json, write_text
+from sdfgcn.objects.catalogue import load_catalogue
+from sdfgcn.perception.augment import augmented
+from sdfgcn.perception.dataset import Pictures, load_pictures
+from sdfgcn.perception.segmentation_scores import SceneView, score, summary, views
+from sdfgcn.perception.segmenters.loss import clustering_loss
+from sdfgcn.perception.segmenters.network import UCN
+from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
+
+# Torch's reader lets any of these through when a file is cut short or no checkpoint at all.
+_UNREADABLE = (
+    OSError,
+    RuntimeError,
+    ValueError,
+    TypeError,
+    LookupError,
+    EOFError,
+    pickle.PickleError,
+)
+
+# What may differ when a training goes on: how it is run, and how long. With another number of
+# steps the learning rate follows the cosine of the new number from there on.
+_FREE_KEYS = (
+    "steps",
+    "out",
+    "torch_threads",
+    "checkpoint_steps",
+    "validation_scenes",
+    "scenes.workers",
+)
+_SEGMENTATION = "env.perception.segmentation."  # of these only what the network or the loss reads
+_BINDING = tuple(_SEGMENTATION + key for key in ("channels", "widths", "embedding", "min_pixels"))
+COLUMNS = ("step", "seconds", "learning_rate", "loss", "pull", "push")
+SCORES = ("overlap_f", "overlap_precision", "overlap_recall", "boundary_f", "count_right")
+
+
+def train(config: TrainUCNConfig, folder: Path) -> Path:
+    """Train the network, or go on with the training that the folder holds.
+
+    Args:
+        config: Scenes, network and optimiser.
+        folder: Where checkpoint, metrics and weights go.
+
+    Returns:
+        The file of the weights.
+
+    Raises:
+        SdfgcnError: The folder is in use, or its checkpoint is damaged or of another training.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        with FileLock(folder / ".lock", timeout=0):
+            training = Training(config, folder)
+            training.resume()
+            write_json(folder / "config.json", asdict(config))
+            training.run(load_pictures(config), validation_views(config))
+            weights = folder / "ucn.safetensors"
+            save_network(training.network, config.env.perception.segmentation, weights)
+            return weights
+    except Timeout:
+        raise SdfgcnError(
+            f"Another process is training in {folder}; wait for it or use another out=..."
+        ) from None
+
+
+class Training:
+    """Network, optimiser and step, as a checkpoint keeps them.
+
+    The pictures of an update and their augmentation follow from the seed and the step, so that no
+    state of a random generator needs to be kept.
+    """
+
+    def __init__(self, config: TrainUCNConfig, folder: Path) -> None:
+        """Start at step 0 with weights from the seed."""
+        self._config, self._folder = config, folder
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(config.seed)
+            self.network: UCN = make_network(config.env.perception.segmentation)
+        self._optimiser = torch.optim.AdamW(
+            self.network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
+        )
+        self.step = 0
+        self._seconds = 0.0
+        self._rows: list[dict[str, float]] = []
+
+    # ------------------------------------------------------------------ the loop
+
+    def run(self, pictures: Pictures, scenes: list[SceneView]) -> None:
+        """Train to the last step, with a checkpoint and a validation every so often."""
+        config, clock = self._config, time.monotonic()
+        recent: list[tuple[float, float]] = []
+        with tqdm(
+            total=config.steps, initial=self.step, desc="Training", unit="update", disable=None
+        ) as bar:
+            while self.step < config.steps:
+                recent.append(self._update(pictures))
+                self.step += 1
+                bar.update()
+                if self.step % config.checkpoint_steps == 0 or self.step == config.steps:
+                    self._seconds += time.monotonic() - clock
+                    row = self._row(recent, scenes)
+                    self._rows.append(row)
+                    bar.set_postfix(F=f"{row['overlap_f']:.3f}", count=f"{row['count_right']:.2f}")
+                    self.save()
+                    recent, clock = [], time.monotonic()
+
+    def _update(self, pictures: Pictures) -> tuple[float, float]:
+        """One step of the optimiser; returns both terms of the loss."""
+        config = self._config
+        rng = np.random.default_rng([config.seed, self.step])
+        chosen = np.sort(rng.integers(len(pictures.pixels), size=config.batch))
+        batch, labels = augmented(rng, pictures.pixels[chosen], pictures.labels[chosen])
+        for group in self._optimiser.param_groups:
+            group["lr"] = self._learning_rate()
+        pull, push = clustering_loss(
+            self.network(batch),
+            labels,
+            config.pull,
+            config.push,
+            config.env.perception.segmentation.min_pixels,
+        )
+        self._optimiser.zero_grad()
+        (pull + push).backward()
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        self._optimiser.step()
+        return pull.item(), push.item()
+
+    def _learning_rate(self) -> float:
+        """Up in a line, then down along a cosine to zero."""
+        config = self._config
+        if self.step < config.warmup:
+            return config.learning_rate * (self.step + 1) / config.warmup
+        done = (self.step - config.warmup) / max(1, config.steps - config.warmup)
+        return config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * done))
+
+    def _row(self, recent: list[tuple[float, float]], scenes: list[SceneView]) -> dict[str, float]:
+        """What `metrics.csv` says about the updates since its last row."""
+        segmenter = UCNSegmenter(self._config.env.perception.segmentation, self.network.eval())
+        scores = summary([scores for _, _, scores in score(segmenter, scenes)])
+        self.network.train()
+        pull, push = np.mean(recent, axis=0)
+        return {
+            "step": self.step,
+            "seconds": round(self._seconds, 1),
+            "learning_rate": self._learning_rate(),
+            "loss": float(pull + push),
+            "pull": float(pull),
+            "push": float(push),
+            **scores,
+        }
+
+    # ------------------------------------------------------------------ what is kept
+
+    @property
+    def _checkpoint(self) -> Path:
+        return self._folder / "checkpoint.pt"
+
+    def save(self) -> None:
+        """Write checkpoint and metrics, each in one step; the checkpoint holds the metrics too."""
+        content = io.BytesIO()
+        torch.save(
+            {
+                "config": json.dumps(_flat(asdict(self._config))),
+                "network": self.network.state_dict(),
+                "optimiser": self._optimiser.state_dict(),
+                "step": self.step,
+                "seconds": self._seconds,
+                "rows": self._rows,
+            },
+            content,
+        )
+        part = self._checkpoint.with_name(".checkpoint.pt.part")
+        part.write_bytes(content.getvalue())
+        part.replace(self._checkpoint)
+        self._write_metrics()
+
+    def resume(self) -> None:
+        """Go on from the folder's checkpoint, if it has one.
+
+        Raises:
+            SdfgcnError: The checkpoint is damaged or of another training.
+        """
+        if not self._checkpoint.exists():
+            return
+        state = _read_checkpoint(self._checkpoint)
+        before, now = json.loads(state["config"]), _flat(asdict(self._config))
+        differing = [
+            key
+            for key in sorted({*before, *now})
+            if _binds(key) and before.get(key) != now.get(key)
+        ]
+        if differing:
+            key = differing[0]
+            raise SdfgcnError(
+                f"{self._checkpoint} is of another training, which differs in {key} "
+                f"({before.get(key)} there, {now.get(key)} now); use the same values or another "
+                "out=..."
+            )
+        self.network.load_state_dict(state["network"])
+        self._optimiser.load_state_dict(state["optimiser"])
+        self.step, self._seconds = state["step"], state["seconds"]
+        self._rows = state["rows"]
+        self._write_metrics()
+
+    def _write_metrics(self) -> None:
+        text = io.StringIO()
+        writer = csv.DictWriter(text, [*COLUMNS, *SCORES])
+        writer.writeheader()
+        writer.writerows(self._rows)
+        write_text(self._folder / "metrics.csv", text.getvalue())
+
+
+def validation_views(config: TrainUCNConfig) -> list[SceneView]:
+    """The environment's own start layouts, with training objects of every catalogue."""
+    each = max(1, config.validation_scenes // len(config.catalogues))
+    return [
+        view
+        for objects in config.catalogues.values()
+        for view in views(
+            replace(config.env, objects=objects),
+            load_catalogue(objects, "train"),
+            [config.n_objects],
+            each,
+        )
+    ]
+
+
+def _read_checkpoint(path: Path) -> dict[str, Any]:
+    try:
+        state = torch.load(path, weights_only=True)
+        missing = {"config", "network", "optimiser", "step", "seconds", "rows"} - set(state)
+        if missing:
+            raise ValueError(f"it lacks {sorted(missing)[0]}")
+    except _UNREADABLE as error:
+        raise SdfgcnError(
+            f"The checkpoint {path} cannot be read ({type(error).__name__}); delete it to "
+            "start from the beginning, or use another out=..."
+        ) from error
+    return state
+
+
+def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A config as one dictionary of dotted keys."""
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        flat |= (
+            _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
+        )
+    return flat
+
+
+def _binds(key: str) -> bool:
+    """Whether a training can only go on with the same value of this key."""
+    if key.startswith(_SEGMENTATION):
+        return key in _BINDING
+    return key not in _FREE_KEYS
