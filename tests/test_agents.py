@@ -36,6 +36,7 @@ def observation(
         {
             "position": torch.zeros(n, 2),
             "goal_position": goal,
+            "correspondence": torch.where(nodes, torch.arange(n), -1),
             "node_mask": nodes,
             "action_mask": legal,
             "sdf": torch.ones(n, 96, 96),
@@ -104,6 +105,18 @@ def test_leaves_an_object_that_cannot_be_pushed(config: Config) -> None:
 def test_pushes_something_legal_when_nothing_else_helps(config: Config) -> None:
     td = observation([(FAR, 0), (0.0, 0.0)], forbidden=tuple(range(8)))
     assert rule_based(config)(td)["action"].item() // 8 == 1
+
+
+def test_under_vision_it_goes_by_matched_detections() -> None:
+    """True positions say +y for both; the matches and the detected centres say otherwise."""
+    td = observation([(0.0, FAR), (0.0, FAR), (0.0, FAR)])
+    td["center"], td["goal_center"] = torch.zeros(8, 2), torch.zeros(8, 2)
+    td["goal_center"][0, 0], td["goal_center"][1, 0] = FAR, -FAR
+    td["correspondence"] = torch.tensor([1, 0, -1, -1, -1, -1, -1, -1])
+    agent = rule_based(real_config("model=rule_based", "perception=vision"))
+    actions = {int(agent(td)["action"]) for _ in range(40)}
+    # Object 0 belongs to the goal on the left, 1 to that on the right, 2 to none.
+    assert actions == {4, N_DIRECTIONS}
 
 
 def test_refuses_when_nothing_is_legal(config: Config) -> None:

@@ -14,6 +14,7 @@ from sdfgcn.agents import MODELS
 from sdfgcn.loggers import LOGGERS
 from sdfgcn.objects.catalogue import SOURCES
 from sdfgcn.perception.encoders import ENCODERS
+from sdfgcn.perception.perceptions import PERCEPTIONS
 from sdfgcn.perception.segmenters import SEGMENTERS
 from sdfgcn.sim.robots import ROBOTS
 from sdfgcn.sim.scenarios import SCENARIOS
@@ -56,6 +57,7 @@ REGISTRIES = {
     "logger": LOGGERS,
     "model": MODELS,
     "objects": SOURCES,
+    "perception": PERCEPTIONS,
     "robot": ROBOTS,
     "scenario": SCENARIOS,
     "segmentation": SEGMENTERS,

@@ -15,13 +15,14 @@ TURN = 2 * np.pi / N_DIRECTIONS
 class RuleBasedAgent:
     """Pushes a random object that has not reached its goal in the nearest direction towards it.
 
-    It knows which object belongs to which goal and where both lie: under `perception=oracle`
-    these are the true positions, as in the paper. Where the mask forbids that push, it takes the
-    next nearest direction, then another object.
+    Under `perception=oracle` it knows which object belongs to which goal and where both truly
+    lie, as in the paper; under any other it goes by the matched detections and their centres.
+    Where the mask forbids that push, it takes the next nearest direction, then another object.
     """
 
     def __init__(self, config: Config, rng: np.random.Generator) -> None:
         self._threshold = config.env.success_threshold
+        self._where = "position" if config.env.perception.name == "oracle" else "center"
         self._rng = rng
 
     def __call__(self, td: TensorDictBase) -> TensorDictBase:
@@ -29,8 +30,8 @@ class RuleBasedAgent:
 
         Args:
             td: One environment's observation, without batch dimension: `position` and
-                `goal_position` float [N, 2] in metres, `node_mask` bool [N], `action_mask` bool
-                [N * 8].
+                `goal_position` (or `center` and `goal_center`) float [N, 2] in metres,
+                `correspondence` int64 [N], `node_mask` bool [N], `action_mask` bool [N * 8].
 
         Returns:
             The same TensorDict with `action` int64 [], object * 8 + direction.
@@ -38,9 +39,11 @@ class RuleBasedAgent:
         Raises:
             ValueError: The mask allows no action at all.
         """
-        offsets = (td["goal_position"] - td["position"]).double().numpy()
+        match = td["correspondence"].numpy()
+        goal, current = td[f"goal_{self._where}"].double(), td[self._where].double()
+        offsets = goal.numpy()[match] - current.numpy()
         legal = td["action_mask"].numpy().reshape(-1, N_DIRECTIONS)
-        obj, direction = self._choose(offsets, td["node_mask"].numpy(), legal)
+        obj, direction = self._choose(offsets, td["node_mask"].numpy() & (match >= 0), legal)
         td["action"] = torch.tensor(obj * N_DIRECTIONS + direction, dtype=torch.int64)
         return td
 
