@@ -94,6 +94,7 @@ def creep(env: RearrangementEnv) -> float:
     """How far the objects' centres go in one more second, metres; the state is put back."""
     physics, task = env._environment.physics, env._task
     before = task.poses(physics)
+    task.set_poses(physics, before, resting=False)  # awake: what sleeps does not creep
     mujoco.mj_step(physics.model.ptr, physics.data.ptr, round(1.0 / physics.timestep()))
     drift = float(np.linalg.norm((task.poses(physics) - before)[:, :3], axis=1).max())
     task.set_poses(physics, before)

@@ -108,7 +108,8 @@ def save_network(network: UCN, config: SegmentationConfig, path: Path) -> None:
     part = path.with_name(f".{path.name}.part")
     tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
     metadata = {"sizes": json.dumps(network_sizes(config))}
-    safetensors.torch.save_file(tensors, part, metadata=metadata)
+    # Not save_file: it makes a file that only its owner may read.
+    part.write_bytes(safetensors.torch.save(tensors, metadata=metadata))
     part.replace(path)
 
 
