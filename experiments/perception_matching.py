@@ -25,7 +25,6 @@ import numpy as np
 import torch
 from common import RESULTS, ROOT, load, parse, save
 from numpy.typing import NDArray
-from sdfgcn.perception.segmentation import detected
 from tqdm import tqdm
 
 from sdfgcn.config import Config, EnvConfig
@@ -33,6 +32,7 @@ from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.envs.types import Scene as Picture
 from sdfgcn.files import write_json
 from sdfgcn.perception.matching import Matcher
+from sdfgcn.perception.perception import detected
 from sdfgcn.results import git_state, versions, wilson
 from sdfgcn.sim.episode import draw_episode
 

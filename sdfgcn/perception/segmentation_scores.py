@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from sdfgcn.config import EnvConfig
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.perception.metrics import MaskScores, score_masks
-from sdfgcn.perception.segmentation import detected, oracle_masks
+from sdfgcn.perception.oracle import oracle_masks
+from sdfgcn.perception.perception import detected
 from sdfgcn.sim.episode import draw_episode
 from sdfgcn.sim.renderer import Renderer
 from sdfgcn.sim.task import RearrangementTask
