@@ -6,12 +6,14 @@ import csv
 import multiprocessing
 import os
 import time
+import zipfile
 from pathlib import Path
 
 import pytest
 import torch
 from configs import real_config
 from small_network import small_network
+from toys import TOYS
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.loggers import NoLogger
@@ -28,9 +30,11 @@ STEADY = ("pushes", "updates", "episodes", "success_rate", "return", "loss", "ep
 
 def train_in_child(overrides: tuple[str, ...], folder: Path) -> None:
     """Train and leave the network in the folder; runs in a process that can be killed."""
+    from sdfgcn.envs import rearrangement
     from sdfgcn.train.loop import train
 
     os.environ.setdefault("MUJOCO_GL", "egl")
+    rearrangement.load_catalogue = lambda config, split: TOYS  # a small world is built quickly
     network = train(real_config(*overrides), folder, NoLogger(folder), small_network)
     torch.save(network.state_dict(), folder / "network.pt")
 
@@ -39,7 +43,7 @@ def train_in_child(overrides: tuple[str, ...], folder: Path) -> None:
 def forks() -> multiprocessing.context.BaseContext:
     """Processes forked from one that has loaded everything but has no OpenGL context yet."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["sdfgcn.train.loop", "small_network", "configs"])
+    context.set_forkserver_preload(["sdfgcn.train.loop", "small_network", "configs", "toys"])
     return context
 
 
@@ -118,7 +122,10 @@ def test_a_damaged_checkpoint_is_named(length: int, whole: Path, tmp_path: Path)
 
 def test_a_flipped_byte_is_noticed(whole: Path, tmp_path: Path) -> None:
     content = bytearray((whole / "checkpoint.zip").read_bytes())
-    content[len(content) // 2] ^= 0xFF
+    with zipfile.ZipFile(whole / "checkpoint.zip") as archive:
+        largest = max(archive.infolist(), key=lambda member: member.compress_size)
+    start = largest.header_offset + 30 + len(largest.filename)
+    content[start + largest.compress_size // 2] ^= 0xFF
     (tmp_path / "checkpoint.zip").write_bytes(content)
     with pytest.raises(SdfgcnError, match="damaged"):
         go_on(tmp_path)
