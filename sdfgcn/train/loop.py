@@ -128,7 +128,7 @@ class Training:
 
     def run(self) -> None:
         """Train to the end of the budget."""
-        self._progress.open(self._config.budget.pushes)
+        self._progress.open(self._config.budget.pushes, self._config.budget.minutes)
         while not self._finished():
             self._push()
             self._learn()

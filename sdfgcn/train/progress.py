@@ -77,8 +77,14 @@ class Progress:
         """Wall seconds of training, over every time it was gone on with."""
         return self.earlier_s + time.monotonic() - self._began
 
-    def open(self, total: int) -> None:
-        """Begin to show the live line, and cut what `train.csv` has of the time after now."""
+    def open(self, total: int, minutes: float | None = None) -> None:
+        """Begin to show the live line, and cut what `train.csv` has of the time after now.
+
+        Args:
+            total: Pushes after which the training ends; the line shows the time left to them.
+            minutes: Of training after which it ends if that is sooner; shown as well.
+        """
+        self._minutes = minutes
         self._table.cut(self.pushes)
         self._began = time.monotonic()  # without the time that it took to build all parts
         self._since = (time.monotonic(), self.pushes, self.updates)
@@ -131,8 +137,11 @@ class Progress:
             "epsilon": epsilon,
             "n_objects": n_objects,
         }
+        spent = (
+            "" if self._minutes is None else f"{self.seconds / 60:.0f} of {self._minutes:g} min, "
+        )
         self._bar.set_postfix_str(
-            f"{self.updates} updates, {figures['updates_per_s']:.1f}/s, "
+            f"{spent}{self.updates} updates, {figures['updates_per_s']:.1f}/s, "
             f"success {figures['success_rate']:.0%}, loss {figures['loss']:.3f}, "
             f"epsilon {epsilon:.2f}, {n_objects} objects",
             refresh=False,
