@@ -1,7 +1,8 @@
 """The mirror symmetry of the table (`augment=mirror`).
 
 The camera stands in the plane x = 0 and every region is symmetric to it. So a transition mirrored
-at that plane is one that could have happened.
+at that plane is one that could have happened. It is exact but for fast marching, which breaks ties
+in the order of the pixels: an SDF of the mirrored mask differs by up to 0.1 pixels.
 """
 
 from __future__ import annotations
