@@ -26,6 +26,8 @@ from sdfgcn.opengl import check_opengl
 from sdfgcn.perception.ucn_training import train
 from sdfgcn.validation import validate_train_ucn
 
+CONF = Path(__file__).resolve().parents[2] / "conf"
+
 ConfigStore.instance().store(name="train_ucn_schema", node=TrainUCNConfig)
 
 
@@ -43,22 +45,26 @@ def typed(cfg: DictConfig) -> TrainUCNConfig:
     return config
 
 
-@hydra.main(config_path="../../conf", config_name="train_ucn", version_base="1.3")
-def main(cfg: DictConfig) -> None:
-    """Train, and say where the weights are."""
-    config = typed(cfg)
-    check_opengl()
-    torch.set_num_threads(config.torch_threads)
-    print(f"Wrote {train(config, Path(config.out))}.")
-
-
-def run() -> int:
-    """Run the command; a mistake that the user can mend is one sentence on stderr."""
+def main() -> int:
+    """Train as the command line says; return the exit code."""
     os.environ["HYDRA_FULL_ERROR"] = "1"  # Hydra raises then, instead of printing lines of its own
+    composed: list[DictConfig] = []
+
+    # Hydra only composes: an error of its job would come with lines of its own.
+    @hydra.main(config_path=str(CONF), config_name="train_ucn", version_base="1.3")
+    def compose(cfg: DictConfig) -> None:
+        composed.append(cfg)
+
     try:
-        main()
+        compose()
+        for cfg in composed:  # none after --help or --cfg
+            config = typed(cfg)
+            check_opengl()
+            torch.set_num_threads(config.torch_threads)
+            print(f"Wrote {train(config, Path(config.out))}.")
     except (SdfgcnError, HydraException, OmegaConfBaseException) as error:
-        print(str(error).splitlines()[0], file=sys.stderr)
+        reasons = [str(link).splitlines()[0] for link in (error, error.__cause__) if link]
+        print(": ".join(reasons), file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 130
@@ -66,4 +72,4 @@ def run() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(run())
+    sys.exit(main())
