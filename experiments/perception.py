@@ -36,12 +36,12 @@ SECTIONS = {"segmentation": perception_segmentation, "matching": perception_matc
 def main(arguments: Sequence[str]) -> int:
     names = [argument for argument in arguments if "=" not in argument]
     own, overrides = parse([a for a in arguments if "=" in a], {"scenes": 0})
-    torch.set_num_threads(1)
     try:
         for name in names:
             if name not in (*SECTIONS, "readme"):
                 sections = ", ".join([*SECTIONS, "readme"])
                 raise SdfgcnError(f"There is no section '{name}'; there are {sections}.")
+        torch.set_num_threads(1)
         for name in names or SECTIONS:
             if name == "readme":
                 perception_readme.run()
