@@ -4,7 +4,7 @@ Held-out objects, true masks, the env's own pictures. Each object is turned and 
 Objects without a texture draw their colours from one palette with replacement, so that two may
 have the same. Writes `results/perception_matching.json`, the same as a table in `.md`, and in
 `.png` scenes of the most objects and the failures, start and goal side by side: the two ends of a
-match are outlined in one colour, and crossed out where it is wrong. Other objects, splits and
+match are outlined in one colour, and framed in red where it is wrong. Other objects, splits and
 encoders go to files of their own (`perception_matching_household`). A run that was cut off goes on
 with the next number of objects.
 """

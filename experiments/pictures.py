@@ -40,7 +40,7 @@ def outlined(
     wrong: Sequence[bool],
     scale: int,
 ) -> Picture:
-    """Enlarge a picture, outline what is matched in the colour of its match, cross out mistakes.
+    """Enlarge a picture, outline what is matched in the colour of its match, frame mistakes in red.
 
     Args:
         pixels: [H, W, 3].
@@ -59,10 +59,9 @@ def outlined(
     pen = ImageDraw.Draw(image)
     for mask in masks[np.asarray(wrong, dtype=bool)]:
         rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
-        left, top = scale * (columns[0] - 1), scale * (rows[0] - 1)
-        right, bottom = scale * (columns[-1] + 2), scale * (rows[-1] + 2)
-        pen.line((left, top, right, bottom), fill=RED, width=OUTLINE)
-        pen.line((left, bottom, right, top), fill=RED, width=OUTLINE)
+        low, high = (columns[0] - 2, rows[0] - 2), (columns[-1] + 3, rows[-1] + 3)
+        corners = [(scale * int(u), scale * int(v)) for u, v in (low, high)]
+        pen.rectangle(corners, outline=RED, width=OUTLINE)
     return np.asarray(image)
 
 
