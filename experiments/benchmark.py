@@ -1,13 +1,15 @@
 """How fast is a push? Pushes per second and core, and where the time goes.
 
     python experiments/benchmark.py                       both robots, 3 scanned objects
+    python experiments/benchmark.py perception=vision     masks and matches from the picture
     python experiments/benchmark.py pushes=100 objects=household
 
 Makes random legal pushes in this process, on one core, with a reset at the end of each episode
 and at the latest after `episode=15` pushes, as many as a rule-based episode of three objects takes.
-Writes `results/benchmark.json`: every repeat, and least, median and most pushes a second. Rates are
-by the wall clock: run it on a quiet machine. `pushes_per_cpu_second` counts this process's time
-alone.
+Writes `results/benchmark.json` (`benchmark_vision.json` and so on where not all is as by default):
+every repeat, and least, median and most pushes a second. Rates are by the wall clock: run it on a
+quiet machine. `pushes_per_cpu_second` counts this process's time alone. `ms_per_push` splits the
+time of a push, with its share of the resets, into parts that do not nest; `python` is the rest.
 """
 
 from __future__ import annotations
@@ -31,12 +33,15 @@ from typing import Any
 import mujoco
 import numpy as np
 import torch
-from common import load, parse, save
+from common import file_name, load, parse, provenance, save
 from tqdm import tqdm
 
 import sdfgcn.envs.rearrangement as rearrangement
+from sdfgcn.config import Config
+from sdfgcn.perception.matching import Matcher
 from sdfgcn.perception.push_start import PushPlanner
 from sdfgcn.perception.sdf import forget_distances
+from sdfgcn.perception.segmenters import SEGMENTERS
 from sdfgcn.sim.renderer import Renderer
 from sdfgcn.sim.robots import ROBOTS
 
@@ -45,6 +50,8 @@ PARTS = {
         (mujoco, name) for name in ("mj_step", "mj_resetData", "mj_kinematics", "mj_collision")
     ],
     "rendering": [(Renderer, "geom_ids"), (Renderer, "pixels")],
+    "segmentation": [(segmenter, "__call__") for segmenter in SEGMENTERS.values()],
+    "matching": [(Matcher, "features"), (Matcher, "match")],
     "sdf": [(rearrangement, "signed_distances")],
     "push_start": [(PushPlanner, "plan"), (PushPlanner, "centers")],
     "inverse_kinematics": [(robot, "solve") for robot in ROBOTS.values()],
@@ -53,11 +60,15 @@ PARTS = {
 
 
 class Stopwatch:
-    """Adds up the wall-clock time spent in functions, by part; parts do not nest."""
+    """Adds up the wall-clock time spent in functions, by part.
+
+    What a timed function calls counts as its own part, so that no time counts twice.
+    """
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
         self.calls: dict[str, int] = defaultdict(int)
+        self._running = False
         for part, functions in PARTS.items():
             for owner, name in functions:
                 setattr(owner, name, self._timed(part, getattr(owner, name)))
@@ -65,10 +76,13 @@ class Stopwatch:
     def _timed(self, part: str, function: Callable[..., Any]) -> Callable[..., Any]:
         @functools.wraps(function)
         def timed(*args: Any, **kwargs: Any) -> Any:
-            began = time.perf_counter()
+            if self._running:
+                return function(*args, **kwargs)
+            self._running, began = True, time.perf_counter()
             try:
                 return function(*args, **kwargs)
             finally:
+                self._running = False
                 self.seconds[part] += time.perf_counter() - began
                 self.calls[part] += 1
 
@@ -113,6 +127,7 @@ def measure(
     parts = {part: stopwatch.seconds[part] for part in PARTS}
     parts["python"] = seconds - sum(parts.values())
     return {
+        "perception": config.env.perception.name,
         "objects": config.env.objects.name,
         "robot": config.env.robot.name,
         "n_objects": config.n_objects,
@@ -126,6 +141,13 @@ def measure(
         "ms_per_reset": 1e3 * reset_seconds / episodes,
         "peak_memory_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
     }
+
+
+def result_name(config: Config) -> str:
+    """The default's result, and each other one, under a name of its own."""
+    return file_name(
+        "benchmark", (config.env.perception.name, config.env.objects.name), {"oracle", "scanned"}
+    )
 
 
 def main() -> None:
@@ -142,14 +164,14 @@ def main() -> None:
         for robot in ROBOTS
     }
     save(
-        "benchmark",
+        result_name(load(overrides)),
         {
             "machine": {
                 "processor": platform.processor() or platform.machine(),
                 "cores": os.cpu_count(),
                 "load_average": os.getloadavg()[0],
             },
-            "versions": {"mujoco": mujoco.__version__, "torch": torch.__version__},
+            **provenance(),
             "pushes_per_second": {
                 robot: {"median": float(np.median(rate)), "least": rate[0], "most": rate[-1]}
                 for robot, rate in rates.items()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from hydra import compose, initialize_config_dir
 
 from sdfgcn.config import Config, register_schema
 from sdfgcn.files import write_json
+from sdfgcn.results import git_state, versions
 from sdfgcn.validation import typed
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -34,6 +35,22 @@ def parse(arguments: Sequence[str], own: dict[str, int]) -> tuple[dict[str, int]
         else:
             overrides.append(argument)
     return values, overrides
+
+
+def file_name(experiment: str, parts: Sequence[str], usual: Collection[str]) -> str:
+    """Name a result after what is not as usual, so that none replaces another's."""
+    return "_".join([experiment, *(part for part in parts if part not in usual)])
+
+
+def provenance() -> dict[str, Any]:
+    """The versions and the commit that a result comes from."""
+    return {"versions": versions(), "git": git_state(ROOT)}
+
+
+def percent(share: float, interval: Sequence[float] | None = None, digits: int = 0) -> str:
+    """A share as a table says it: `93%`, or `93% [90, 95]` with its interval."""
+    bounds = ", ".join(f"{100 * bound:.{digits}f}" for bound in interval or ())
+    return f"{100 * share:.{digits}f}%" + (f" [{bounds}]" if bounds else "")
 
 
 def save(name: str, result: dict[str, Any]) -> None:

@@ -1,9 +1,13 @@
 """How well does perception see? Held-out objects in the environment's own scenes.
 
-    python experiments/perception.py                         every section, 100 scenes a count
+    python experiments/perception.py                         every section
     python experiments/perception.py segmentation scenes=20
+    python experiments/perception.py matching scenes=50 objects=household
+    python experiments/perception.py readme                  the tables' main rows into README.md
 
-Writes `results/perception_<section>.json` and what else a section's module says.
+Each section writes `results/perception_<section>.json`, `.md` (the same as a table) and `.png`
+(examples and failures); its module says more. `scenes` is the number of scenes for each number of
+objects: 100 for segmentation and 500 for matching unless given.
 """
 
 from __future__ import annotations
@@ -12,20 +16,43 @@ import os
 import sys
 
 os.environ.setdefault("MUJOCO_GL", "egl")
+os.environ.setdefault("LP_NUM_THREADS", "0")  # software OpenGL: render in this thread
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")
 
+from collections.abc import Sequence
+
+import perception_matching
+import perception_readme
 import perception_segmentation
-from common import parse, save
+import torch
+from common import parse
 
-SECTIONS = {"segmentation": perception_segmentation.measure}
+from sdfgcn.errors import SdfgcnError
+
+SECTIONS = {"segmentation": perception_segmentation, "matching": perception_matching}
 
 
-def main() -> None:
-    asked = [argument for argument in sys.argv[1:] if argument in SECTIONS]
-    others = [argument for argument in sys.argv[1:] if argument not in SECTIONS]
-    own, overrides = parse(others, {"scenes": 100})
-    for section in asked or SECTIONS:
-        save(f"perception_{section}", SECTIONS[section](overrides, own["scenes"]))
+def main(arguments: Sequence[str]) -> int:
+    names = [argument for argument in arguments if "=" not in argument]
+    own, overrides = parse([a for a in arguments if "=" in a], {"scenes": 0})
+    try:
+        for name in names:
+            if name not in (*SECTIONS, "readme"):
+                sections = ", ".join([*SECTIONS, "readme"])
+                raise SdfgcnError(f"There is no section '{name}'; there are {sections}.")
+        torch.set_num_threads(1)
+        for name in names or SECTIONS:
+            if name == "readme":
+                perception_readme.run()
+            else:
+                section = SECTIONS[name]
+                section.run(overrides, own["scenes"] or section.SCENES)
+    except SdfgcnError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main(sys.argv[1:]))

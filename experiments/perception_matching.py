@@ -1,42 +1,49 @@
-"""How often every object of a scene is matched with itself in the goal picture.
-
-    python experiments/perception_matching.py                   500 scenes of 2 to 6 objects
-    python experiments/perception_matching.py scenes=50 objects=household
+"""The matching section of `perception.py`: is each object matched with itself in the goal picture?
 
 Held-out objects, true masks, the env's own pictures. Each object is turned and moved at random.
 Objects without a texture draw their colours from one palette with replacement, so that two may
-have the same. Writes `results/perception_matching.json`, or `_household` and so on;
-a run that was cut off goes on with the next count.
+have the same. Writes `results/perception_matching.json`, the same as a table in `.md`, and in
+`.png` scenes of the most objects and the failures, start and goal side by side: the two ends of a
+match are outlined in one colour, and framed in red where it is wrong. Other objects, splits and
+encoders go to files of their own (`perception_matching_household`). A run that was cut off goes on
+with the next number of objects.
 """
 
 from __future__ import annotations
 
 import json
-import os
-import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-os.environ.setdefault("MUJOCO_GL", "egl")
-
 import numpy as np
-import torch
-from common import RESULTS, ROOT, load, parse, save
+from common import RESULTS, file_name, load, percent, provenance, save
 from numpy.typing import NDArray
+from pictures import Picture, outlined, save_png, sheet, titled
 from tqdm import tqdm
 
 from sdfgcn.config import Config, EnvConfig
 from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.envs.types import Scene as Picture
-from sdfgcn.files import write_json
+from sdfgcn.envs.types import Scene as Seen
+from sdfgcn.files import write_json, write_text
 from sdfgcn.perception.matching import Matcher
 from sdfgcn.perception.perception import detected
-from sdfgcn.results import git_state, versions, wilson
+from sdfgcn.results import wilson
 from sdfgcn.sim.episode import draw_episode
 
+SCENES = 500  # of each number of objects
 N_OBJECTS = (2, 3, 4, 5, 6)
+USUAL = {"scanned", "test", "efficientnet_lite0"}
+KINDS = {
+    "matcher": "wholly right",
+    "encoder_alone": "without mean colour",
+    "color_alone": "by mean colour alone",
+    "size_alone": "by size alone",
+}
+SHOWN = 8  # scenes of the figure that are right, and as many failures
+
+Row = dict[str, Any]
 
 
 @dataclass(frozen=True)
@@ -48,7 +55,7 @@ class View:
         masks: bool [m, H, W], every one large enough to be detected.
     """
 
-    pixels: NDArray[np.uint8]
+    pixels: Picture
     masks: NDArray[np.bool_]
 
 
@@ -67,24 +74,44 @@ class Scene:
     expected: NDArray[np.int64]
 
 
-def scenes(env: RearrangementEnv, count: int, seed: int) -> Iterator[Scene]:
-    """Pictures of `count` episodes whose seeds follow from `seed`; goal masks in random order."""
+def run(overrides: list[str], scenes: int) -> None:
+    """Match `scenes` scenes of each number of objects; write the results after each number."""
+    if not any(override.startswith("robot=") for override in overrides):
+        overrides = [*overrides, "robot=gripper"]  # out of the picture, and faster to build
+    config = load([*overrides, "perception=oracle"])
+    matcher = Matcher(config.env.perception.encoder)
+    head, name = header(config, scenes, overrides), result_name(config)
+    rows = finished(name, head)
+    env = RearrangementEnv(config.env, seed=config.seed)
     env.record = True
-    palette = np.asarray(env.config.objects.palette)
-    rng = np.random.default_rng(seed)
-    for _ in range(count):
-        drawn = draw_episode(int(rng.integers(2**31)), env.catalogue, env.config)
-        colors = np.ones_like(drawn.colors)
-        colors[:, :3] = palette[rng.integers(len(palette), size=len(colors))]
-        episode = replace(drawn, colors=colors)
-        state = rng.bit_generator.state  # what the env would draw later episodes with
-        env.restore_state({"episode": episode, "poses": drawn.start, "pushes": 0, "rng": state})
-        start = env.episode_start
-        yield scene(start.scene, start.goal, rng.permutation(len(colors)), env.config)
+    for n in tqdm(N_OBJECTS[len(rows) :], unit="count"):
+        rows.append(measure(env, matcher, n, scenes, config.seed))
+        write_json(RESULTS / f"{name}.json", {**head, "rows": rows})
+        share = rows[-1]["matcher"]["scenes_right"]
+        tqdm.write(f"{n} objects: {percent(share, digits=1)} of the scenes wholly right")
+    save(name, {**head, "rows": rows})
+    write_text(RESULTS / f"{name}.md", markdown(rows))
+    save_png(name, figure(env, matcher, rows, config.seed))
+    env.close()
 
 
-def scene(current: Picture, goal: Picture, order: NDArray, config: EnvConfig) -> Scene:
-    """Keep what is detected, and shuffle the goal's objects."""
+def scene(env: RearrangementEnv, n: int, index: int, seed: int) -> Scene:
+    """Scene number `index` with n objects, whatever was drawn before; goal masks shuffled."""
+    rng = np.random.default_rng([seed, n, index])
+    config = replace(env.config, n_objects=n)
+    drawn = draw_episode(int(rng.integers(2**31)), env.catalogue, config)
+    palette = np.asarray(config.objects.palette)
+    colors = np.ones_like(drawn.colors)
+    colors[:, :3] = palette[rng.integers(len(palette), size=n)]
+    episode = replace(drawn, colors=colors)
+    order = rng.permutation(n)
+    state = rng.bit_generator.state  # what the env would draw later episodes with
+    env.restore_state({"episode": episode, "poses": drawn.start, "pushes": 0, "rng": state})
+    return shuffled(env.episode_start.scene, env.episode_start.goal, order, config)
+
+
+def shuffled(current: Seen, goal: Seen, order: NDArray, config: EnvConfig) -> Scene:
+    """Keep what is detected, and put the goal's objects in another order."""
     least = config.perception.min_pixels
     slots = np.flatnonzero(detected(current.masks, least))
     goal_slots = order[detected(goal.masks, least)[order]]
@@ -111,35 +138,34 @@ def right(found: NDArray[np.int64], expected: NDArray[np.int64]) -> NDArray[np.b
     return (found == expected) | (expected < 0)
 
 
-def measure(config: EnvConfig, matcher: Matcher, count: int, seed: int) -> dict[str, Any]:
-    """Match `count` scenes, by the whole feature and by its parts.
+def measure(env: RearrangementEnv, matcher: Matcher, n: int, count: int, seed: int) -> Row:
+    """Match `count` scenes of n objects, by the whole feature and by its parts.
 
     Returns:
-        For each kind of feature the share of scenes that are wholly right, and of objects; and
-        the milliseconds of processor time that a new object costs.
+        For each kind of feature the share of scenes that are wholly right, and of objects; which
+        scenes were not; and the milliseconds of processor time that a new object costs.
     """
-    env = RearrangementEnv(config, seed=seed)
-    scene_right: dict[str, list[bool]] = {}
-    object_right: dict[str, list[bool]] = {}
+    scene_right: dict[str, list[bool]] = {kind: [] for kind in KINDS}
+    object_right: dict[str, list[bool]] = {kind: [] for kind in KINDS}
     seconds: list[float] = []
-    for each in tqdm(scenes(env, count, seed), total=count, unit="scene", leave=False):
+    for index in tqdm(range(count), unit="scene", desc=f"{n} objects", leave=False):
+        each = scene(env, n, index, seed)
         views = (each.current, each.goal)
         began = time.process_time()
         whole = [matcher.features(view.pixels, view.masks) for view in views]
         seconds.append((time.process_time() - began) / max(1, sum(len(v.masks) for v in views)))
-        kinds = {
+        features = {
             "matcher": whole,
             "encoder_alone": [rows[:, :-3] for rows in whole],
             "color_alone": [mean_color(view) for view in views],
             "size_alone": [size(view) for view in views],
         }
-        for kind, (rows, goal_rows) in kinds.items():
+        for kind, (rows, goal_rows) in features.items():
             verdict = right(matcher.match(rows, goal_rows), each.expected)
-            scene_right.setdefault(kind, []).append(bool(verdict.all()))
-            object_right.setdefault(kind, []).extend(verdict.tolist())
-    env.close()
+            scene_right[kind].append(bool(verdict.all()))
+            object_right[kind].extend(verdict.tolist())
     return {
-        "n_objects": config.n_objects,
+        "n_objects": n,
         "scenes": count,
         **{
             kind: {
@@ -149,6 +175,7 @@ def measure(config: EnvConfig, matcher: Matcher, count: int, seed: int) -> dict[
             }
             for kind, verdicts in scene_right.items()
         },
+        "wrong_scenes": np.flatnonzero(~np.array(scene_right["matcher"])).tolist(),
         "cpu_ms_an_object": {
             "median": float(1e3 * np.median(seconds)),
             "p95": float(1e3 * np.quantile(seconds, 0.95)),
@@ -156,28 +183,27 @@ def measure(config: EnvConfig, matcher: Matcher, count: int, seed: int) -> dict[
     }
 
 
-def header(config: Config, scenes_each: int, overrides: list[str]) -> dict[str, Any]:
-    """What the rows follow from."""
+def header(config: Config, scenes: int, overrides: list[str]) -> dict[str, Any]:
+    """What the rows follow from; scene i of n objects is drawn from [seed, n, i]."""
     return {
         "objects": config.env.objects.name,
         "split": config.env.split,
         "encoder": asdict(config.env.perception.encoder),
         "overrides": overrides,
         "seed": config.seed,
-        "scenes": scenes_each,
-        "versions": versions(),
-        "git": git_state(ROOT),
+        "scenes": scenes,
+        **provenance(),
     }
 
 
-def file_name(config: Config) -> str:
+def result_name(config: Config) -> str:
     """The default's result, and each other one, under a name of its own."""
-    usual = {"scanned", "test", "efficientnet_lite0"}
-    parts = (config.env.objects.name, config.env.split, config.env.perception.encoder.name)
-    return "_".join(["perception_matching", *(part for part in parts if part not in usual)])
+    env = config.env
+    parts = (env.objects.name, env.split, env.perception.encoder.name)
+    return file_name("perception_matching", parts, USUAL)
 
 
-def finished(name: str, head: dict[str, Any]) -> list[dict[str, Any]]:
+def finished(name: str, head: dict[str, Any]) -> list[Row]:
     """Rows that a run of the same code and config has already written: it was cut off."""
     path = RESULTS / f"{name}.json"
     if not path.exists():
@@ -191,23 +217,51 @@ def finished(name: str, head: dict[str, Any]) -> list[dict[str, Any]]:
     return written["rows"]
 
 
-def main() -> None:
-    own, overrides = parse(sys.argv[1:], {"scenes": 500})
-    if not any(override.startswith("robot=") for override in overrides):
-        overrides.append("robot=gripper")  # out of the picture either way, and faster to build
-    torch.set_num_threads(1)
-    configs = {n: load([*overrides, f"n_objects={n}"]) for n in N_OBJECTS}
-    config = configs[N_OBJECTS[0]]
-    matcher = Matcher(config.env.perception.encoder)
-    head, name = header(config, own["scenes"], overrides), file_name(config)
-    rows = finished(name, head)
-    for n in tqdm(N_OBJECTS[len(rows) :], unit="count"):
-        rows.append(measure(configs[n].env, matcher, own["scenes"], seed=config.seed + n))
-        write_json(RESULTS / f"{name}.json", {**head, "rows": rows})
-        share = rows[-1]["matcher"]["scenes_right"]
-        tqdm.write(f"{n} objects: {100 * share:.1f}% of the scenes wholly right")
-    save(name, {**head, "rows": rows})
+def markdown(rows: Sequence[Row]) -> str:
+    """The shares of scenes as a table in Markdown; in brackets Wilson's 95% intervals."""
+    lines = [
+        f"| n objects | scenes | {' | '.join(KINDS.values())} | objects right |",
+        f"|{' --- |' * (len(KINDS) + 3)}",
+    ]
+    for row in rows:
+        shares = (
+            percent(row[kind]["scenes_right"], row[kind]["scenes_right_ci95"], 1) for kind in KINDS
+        )
+        objects = percent(row["matcher"]["objects_right"], digits=1)
+        lines.append(f"| {row['n_objects']} | {row['scenes']} | {' | '.join(shares)} | {objects} |")
+    return "\n".join(lines) + "\n"
 
 
-if __name__ == "__main__":
-    main()
+def examples(rows: Sequence[Row]) -> list[tuple[int, int]]:
+    """(n objects, index) of the first right scenes with the most objects, then of failures."""
+    most = rows[-1]
+    rights = [k for k in range(most["scenes"]) if k not in most["wrong_scenes"]]
+    failures = [(row["n_objects"], k) for row in reversed(rows) for k in row["wrong_scenes"]]
+    return [*((most["n_objects"], k) for k in rights[:SHOWN]), *failures[:SHOWN]]
+
+
+def figure(env: RearrangementEnv, matcher: Matcher, rows: Sequence[Row], seed: int) -> Picture:
+    """The examples, start and goal side by side, four in a line."""
+    tiles = []
+    for n, index in examples(rows):
+        each = scene(env, n, index, seed)
+        views = (each.current, each.goal)
+        found = matcher.match(*(matcher.features(view.pixels, view.masks) for view in views))
+        verdict = right(found, each.expected)
+        title = f"{n} objects, scene {index}: {verdict.sum()} of {len(verdict)} right"
+        tiles.append(titled(pair(each, found, verdict), title))
+    return sheet(tiles, columns=4, gap=8)
+
+
+def pair(
+    each: Scene, found: NDArray[np.int64], verdict: NDArray[np.bool_], scale: int = 3
+) -> Picture:
+    """Start and goal beside each other, with the matches that were found."""
+    goal_matches = np.full(len(each.goal.masks), -1)
+    goal_wrong = np.zeros(len(each.goal.masks), dtype=bool)
+    matched = found >= 0
+    goal_matches[found[matched]] = found[matched]
+    goal_wrong[found[matched]] = ~verdict[matched]
+    start = outlined(each.current.pixels, each.current.masks, found, ~verdict, scale)
+    goal = outlined(each.goal.pixels, each.goal.masks, goal_matches, goal_wrong, scale)
+    return np.hstack([start, goal])

@@ -14,10 +14,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from common import RESULTS, load
+from common import RESULTS, load, percent, provenance, save
 from numpy.typing import NDArray
-from PIL import Image
+from pictures import enlarged, painted, save_png, sheet
 from tqdm import tqdm
 
 from sdfgcn.config import Config, lookup
@@ -27,21 +26,18 @@ from sdfgcn.perception.metrics import MaskScores, score_masks
 from sdfgcn.perception.segmentation_scores import SceneView, shifted_look, summary, views
 from sdfgcn.perception.segmenters import SEGMENTERS
 from sdfgcn.perception.segmenters.ucn import SHIPPED
+from sdfgcn.results import wilson
 
+SCENES = 100  # of each number of objects
 N_OBJECTS = (2, 3, 4, 5, 6)
 LOOKS = {"own": None, "shifted": shifted_look}  # light and table colour
 CATALOGUES = ("scanned", "household")
-COLOURS = np.array(
-    [[230, 60, 60], [60, 200, 60], [70, 110, 250], [240, 220, 40], [220, 80, 220], [60, 220, 220],
-     [250, 150, 40], [250, 250, 250], [150, 150, 150], [120, 80, 40]], dtype=np.uint8
-)  # fmt: skip
 
 Row = tuple[SceneView, NDArray[np.bool_], MaskScores]
 
 
-def measure(overrides: list[str], scenes: int) -> dict[str, Any]:
+def run(overrides: list[str], scenes: int) -> None:
     """Score every catalogue in every look; `scenes` of each number of objects."""
-    torch.set_num_threads(1)
     table, rows_of, seconds = [], {}, []
     for objects in CATALOGUES:
         config = load([*overrides, f"objects={objects}", "robot=gripper", "eval.split=test"])
@@ -52,33 +48,40 @@ def measure(overrides: list[str], scenes: int) -> dict[str, Any]:
                 chosen = [scores for view, _, scores in rows if n in (view.n_objects, None)]
                 table.append(
                     {"objects": objects, "look": look, "n_objects": n or "2 to 6",
-                     "scenes": len(chosen), **summary(chosen)}
+                     "scenes": len(chosen), **summary(chosen),
+                     "count_right_ci95": counted(chosen)}
                 )  # fmt: skip
     settings = config.env.perception.segmentation
     weights = Path(settings.weights or SHIPPED)
     result = {
         "split": "test",
+        "overrides": overrides,
         "seeds": [0, scenes - 1],
         "weights_sha256": hashlib.sha256(weights.read_bytes()).hexdigest(),
         "hidden_objects": {
             f"{objects} {look}": sum(view.n_objects - len(view.masks) for view, _, _ in rows)
             for (objects, look), rows in rows_of.items()
         },
-        "ms_a_picture": {
+        "cpu_ms_a_picture": {
             "median": float(1e3 * np.median(seconds)),
             "p90": float(1e3 * np.quantile(seconds, 0.9)),
             "torch_threads": 1,
         },
+        **provenance(),
         "rows": table,
     }
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    write_text(RESULTS / "perception_segmentation.md", markdown(result))
+    save("perception_segmentation", result)
+    write_text(RESULTS / "perception_segmentation.md", markdown(result["rows"]))
     draw([row for rows in rows_of.values() for row in examples(rows)])
-    return result
+
+
+def counted(scores: Sequence[MaskScores]) -> tuple[float, float]:
+    """Wilson's 95% interval of the share of scenes whose objects were counted right."""
+    return wilson(sum(each.found == each.true for each in scores), len(scores))
 
 
 def segmented(config: Config, look: str, scenes: int, seconds: list[float]) -> Iterator[Row]:
-    """Each scene with the masks found; adds the time that each took to `seconds`."""
+    """Each scene with the masks found; adds the processor time that each took to `seconds`."""
     settings = config.env.perception.segmentation
     segment = lookup(SEGMENTERS, "segmentation", settings.name)(settings)
     catalogue = load_catalogue(config.env.objects, "test")
@@ -88,22 +91,23 @@ def segmented(config: Config, look: str, scenes: int, seconds: list[float]) -> I
         desc=f"{config.env.objects.name}, {look} look",
         unit="scene",
     ):
-        start = time.perf_counter()
+        start = time.process_time()
         masks = segment(view.pixels)
-        seconds.append(time.perf_counter() - start)
+        seconds.append(time.process_time() - start)
         yield view, masks, score_masks(masks, view.masks)
 
 
-def markdown(result: dict[str, Any]) -> str:
-    """The rows as a table in Markdown."""
+def markdown(rows: Sequence[dict[str, Any]]) -> str:
+    """The rows as a table in Markdown; in brackets Wilson's 95% intervals."""
     lines = [
         "| objects | light and table | n objects | scenes | overlap F | boundary F | count right |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     lines += [
         f"| {row['objects']} | {row['look']} | {row['n_objects']} | {row['scenes']} | "
-        f"{row['overlap_f']:.3f} | {row['boundary_f']:.3f} | {100 * row['count_right']:.0f}% |"
-        for row in result["rows"]
+        f"{row['overlap_f']:.3f} | {row['boundary_f']:.3f} | "
+        f"{percent(row['count_right'], row['count_right_ci95'])} |"
+        for row in rows
     ]
     return "\n".join(lines) + "\n"
 
@@ -120,17 +124,4 @@ def draw(rows: Sequence[Row], columns: int = 12, scale: int = 2) -> None:
         np.vstack([view.pixels, painted(view.pixels, view.masks), painted(view.pixels, masks)])
         for view, masks, _ in rows
     ]
-    lines = [np.hstack(strips[k : k + columns]) for k in range(0, len(strips), columns)]
-    sheet = Image.fromarray(np.vstack(lines))
-    sheet = sheet.resize((scale * sheet.width, scale * sheet.height), Image.Resampling.NEAREST)
-    part = RESULTS / ".perception_segmentation.png.part"
-    sheet.save(part, format="PNG")
-    part.replace(RESULTS / "perception_segmentation.png")
-
-
-def painted(pixels: NDArray[np.uint8], masks: NDArray[np.bool_]) -> NDArray[np.uint8]:
-    """[H, W, 3] the picture darkened, each mask in a colour of its own."""
-    picture = pixels // 3
-    for k, mask in enumerate(masks):
-        picture[mask] = COLOURS[k % len(COLOURS)]
-    return picture
+    save_png("perception_segmentation", enlarged(sheet(strips, columns), scale))

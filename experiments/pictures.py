@@ -1,0 +1,93 @@
+"""What the figures of `perception.py` share: colours, masks painted or outlined, and sheets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from common import RESULTS
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+from scipy import ndimage
+
+Picture = NDArray[np.uint8]
+
+RED = (230, 60, 60)
+COLOURS = np.array(
+    [RED, [60, 200, 60], [70, 110, 250], [240, 220, 40], [220, 80, 220], [60, 220, 220],
+     [250, 150, 40], [250, 250, 250], [150, 150, 150], [120, 80, 40]], dtype=np.uint8
+)  # fmt: skip
+OUTLINE = 3  # pixels of the enlarged picture
+
+
+def painted(pixels: Picture, masks: NDArray[np.bool_]) -> Picture:
+    """[H, W, 3] the picture darkened, each mask in a colour of its own."""
+    picture = pixels // 3
+    for k, mask in enumerate(masks):
+        picture[mask] = COLOURS[k % len(COLOURS)]
+    return picture
+
+
+def enlarged(pixels: NDArray, scale: int) -> NDArray:
+    """Each pixel of [H, W, ...] as a square of `scale` pixels."""
+    return pixels.repeat(scale, axis=0).repeat(scale, axis=1)
+
+
+def outlined(
+    pixels: Picture,
+    masks: NDArray[np.bool_],
+    matches: Sequence[int],
+    wrong: Sequence[bool],
+    scale: int,
+) -> Picture:
+    """Enlarge a picture, outline what is matched in the colour of its match, frame mistakes in red.
+
+    Args:
+        pixels: [H, W, 3].
+        masks: [m, H, W].
+        matches: [m] the match that each belongs to, -1 for none.
+        wrong: [m] whether that match is a mistake.
+        scale: Pixels of the result for each of the picture's.
+    """
+    picture = enlarged(pixels, scale).copy()
+    for mask, match in zip(masks, matches, strict=True):
+        if match >= 0:
+            large = enlarged(mask, scale)
+            outline = ndimage.binary_dilation(large, iterations=OUTLINE) & ~large
+            picture[outline] = COLOURS[1 + match % (len(COLOURS) - 1)]  # red is for mistakes
+    image = Image.fromarray(picture)
+    pen = ImageDraw.Draw(image)
+    for mask in masks[np.asarray(wrong, dtype=bool)]:
+        rows, columns = (np.flatnonzero(mask.any(axis=axis)) for axis in (1, 0))
+        low, high = (columns[0] - 2, rows[0] - 2), (columns[-1] + 3, rows[-1] + 3)
+        corners = [(scale * int(u), scale * int(v)) for u, v in (low, high)]
+        pen.rectangle(corners, outline=RED, width=OUTLINE)
+    return np.asarray(image)
+
+
+def titled(picture: Picture, title: str, height: int = 22) -> Picture:
+    """The picture below a line of text."""
+    image = Image.new("RGB", (picture.shape[1], picture.shape[0] + height), "white")
+    image.paste(Image.fromarray(picture), (0, height))
+    ImageDraw.Draw(image).text((4, 2), title, fill="black", font=ImageFont.load_default(14))
+    return np.asarray(image)
+
+
+def sheet(tiles: Sequence[Picture], columns: int, gap: int = 0) -> Picture:
+    """Lay tiles of one size out in lines, on white."""
+    height, width = tiles[0].shape[:2]
+    lines = -(-len(tiles) // columns)
+    paper = np.full((lines * (height + gap), columns * (width + gap), 3), 255, dtype=np.uint8)
+    for k, tile in enumerate(tiles):
+        row, column = divmod(k, columns)
+        top, left = row * (height + gap), column * (width + gap)
+        paper[top : top + height, left : left + width] = tile
+    return paper
+
+
+def save_png(name: str, picture: Picture) -> None:
+    """Write `results/<name>.png` in one step."""
+    RESULTS.mkdir(parents=True, exist_ok=True)
+    part = RESULTS / f".{name}.png.part"
+    Image.fromarray(picture).save(part, format="PNG", optimize=True)
+    part.replace(RESULTS / f"{name}.png")
