@@ -7,15 +7,21 @@ import json
 import os
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 from configs import compose_config, real_config
 from hydra.errors import HydraException
+from recordings import Recording
 from tensordict import TensorDictBase
 
+from sdfgcn import load_policy
 from sdfgcn.cli import to_sentence
+from sdfgcn.config import N_DIRECTIONS
+from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.experiment import run_experiment
 from sdfgcn.loggers import TensorboardLogger, WandbLogger
@@ -67,8 +73,16 @@ def test_trains_then_evaluates(folder: Path) -> None:
 
 
 def test_q_values_are_in_the_recording(folder: Path) -> None:
-    content = (folder / "recordings" / "episode_000.rrd").read_bytes()
-    assert b"q_value" in content or b"q_values" in content
+    """Of every object and direction, as the policy gives them at the start of the episode."""
+    recording = Recording(folder / "recordings" / "episode_000.rrd")
+    kept = recording["/q_values", "Tensor:data"][1][0]
+    with (folder / "episodes.csv").open() as file:
+        seed = int(next(csv.DictReader(file))["seed"])
+    with closing(RearrangementEnv(real_config(*SMALL).env)) as env:
+        given = load_policy(folder)(env.reset_episode(seed))["action_value"]
+    assert kept["shape"] == [2, N_DIRECTIONS]
+    np.testing.assert_allclose(kept["buffer"], given[: 2 * N_DIRECTIONS], atol=1e-5)
+    assert "| #1 " in recording["/q_values/table", "TextDocument:text"][1][0]
 
 
 def test_evaluates_a_checkpoint_without_training(folder: Path, tmp_path: Path) -> None:
