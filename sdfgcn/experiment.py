@@ -33,7 +33,7 @@ def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
 
     load_catalogue(config.env.objects, config.env.split)  # once, before workers would each do it
     logger = lookup(LOGGERS, "logger.name", config.logger.name)(folder.path)
-    if config.model.name in MODEL_CONFIGS:
+    if config.model.name in (*MODEL_CONFIGS, "released"):
         config = with_policy(config, folder, logger)
     evaluation = Evaluation(
         config,

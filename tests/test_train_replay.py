@@ -9,7 +9,7 @@ from tensordict import TensorDict
 
 from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.perception.push_start import plan_pushes
+from sdfgcn.perception.push_start import PushPlanner
 from sdfgcn.perception.sdf import SdfCache, signed_distance, signed_distances
 from sdfgcn.sim.push import direction_vector
 from sdfgcn.train.mirror import MIRRORED_DIRECTION, mirrored
@@ -111,7 +111,8 @@ def test_a_mirrored_picture_offers_the_mirrored_pushes(env_of: Envs, collected: 
         np.testing.assert_array_equal(signed_distances(masks, "edt"), edt(observation, found))
         # Fast marching takes ties in the order of the pixels.
         np.testing.assert_allclose(signed_distances(masks, "fmm"), sdf, atol=0.1)
-        plan = plan_pushes(masks, sdf, env.camera, env.config.push, env.config.arena)
+        planner = PushPlanner(env.camera, env.config.push, env.config.arena)
+        plan = planner.plan(masks, sdf)
         np.testing.assert_allclose(plan.center, image["center"][found], atol=1e-6)
         legal = image["action_mask"].reshape(-1, N_DIRECTIONS)[found].numpy()
         assert (plan.legal == legal).all()

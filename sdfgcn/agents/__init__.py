@@ -32,7 +32,7 @@ def q_agent(config: Config, rng: np.random.Generator) -> Agent:
             f"model.name is '{config.model.name}', which needs trained weights: give checkpoint=..."
         )
     network, about = load_network(config.checkpoint)
-    if about["model"]["name"] != config.model.name:
+    if config.model.name not in ("released", about["model"]["name"]):
         raise SdfgcnError(
             f"checkpoint={config.checkpoint} holds weights of model={about['model']['name']}, but "
             f"model.name is '{config.model.name}'."
@@ -42,6 +42,7 @@ def q_agent(config: Config, rng: np.random.Generator) -> Agent:
 
 MODELS: dict[str, Callable[[Config, np.random.Generator], Agent]] = {
     "rule_based": RuleBasedAgent,
+    "released": q_agent,
     **dict.fromkeys(Q_NETWORKS, q_agent),
 }
 
