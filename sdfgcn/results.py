@@ -48,7 +48,7 @@ def summarise(config: Config, episodes: Sequence[Episode], wall_s: float) -> dic
     steps = [float(episode.pushes) for episode in successes]
     errors = [episode.error_mm for episode in successes]
     return {
-        "model": config.model.name,
+        **_network(config),
         "objects": config.env.objects.name,
         "split": config.env.split,
         "n_objects": config.env.n_objects,
@@ -58,7 +58,6 @@ def summarise(config: Config, episodes: Sequence[Episode], wall_s: float) -> dic
         "checkpoint": config.checkpoint,
         "epsilon": config.eval.epsilon if config.checkpoint else None,
         "loop_distance": config.eval.loop_distance if config.checkpoint else None,
-        **_training(config),
         "seed": config.seed,
         "episodes": len(episodes),
         "success_rate": len(successes) / len(episodes),
@@ -76,15 +75,17 @@ def summarise(config: Config, episodes: Sequence[Episode], wall_s: float) -> dic
     }
 
 
-def _training(config: Config) -> dict[str, Any]:
-    """How the network that was evaluated had been trained, as far as its policy says so."""
-    training: dict[str, Any] = {}
-    if config.checkpoint is not None and config.model.name in MODEL_CONFIGS:
+def _network(config: Config) -> dict[str, Any]:
+    """The model, and how its network had been trained, as far as its policy says so."""
+    about: dict[str, Any] = {}
+    if config.checkpoint is not None and config.model.name in (*MODEL_CONFIGS, "released"):
         from sdfgcn.agents.policy import ABOUT, find_policy  # loads torch
 
-        about = find_policy(config.checkpoint) / ABOUT
-        training = json.loads(about.read_text(encoding="utf-8")).get("training", {})
+        file = find_policy(config.checkpoint) / ABOUT
+        about = json.loads(file.read_text(encoding="utf-8"))
+    training = about.get("training", {})
     return {
+        "model": about.get("model", {}).get("name", config.model.name),
         "curriculum": training.get("curriculum.name"),
         "trained_objects": training.get("n_objects"),
     }
