@@ -29,8 +29,9 @@ from sdfgcn.paper import paper_figure
 Row = dict[str, Any]
 
 SORTED_BY = ("model", "split", "objects", "scenario", "perception", "n_objects", "robot", "seed")
-# Columns only where the rows differ; else the line above the table says it once.
-TITLE = ("model", "split", "scenario", "perception")
+# Columns only where the rows differ; else the line above the table says it once. The last three are
+# None for a model that is not trained.
+TITLE = ("model", "split", "scenario", "perception", "curriculum", "epsilon", "loop_distance")
 END = "<!-- /results -->"
 NOTE = (
     "In brackets: 95% confidence intervals (Wilson's for the success rate, Student's t for means). "
@@ -61,13 +62,18 @@ def collect(folders: Iterable[Path]) -> list[Row]:
         for run in sorted(runs - done):
             print(f"Left out: {run} ({states[run].get('state')}).", file=sys.stderr)
         rows |= {run: _row(_read(run / "results.json"), states[run]) for run in done}
-    return sorted(rows.values(), key=lambda row: tuple(row[key] for key in SORTED_BY))
+    return sorted(rows.values(), key=_order)
+
+
+def _order(row: Row) -> tuple:
+    return (*(row[key] for key in SORTED_BY), *(str(row.get(key)) for key in TITLE))
 
 
 def markdown(rows: Sequence[Row]) -> str:
     """Lay the rows out as a Markdown table, beside the paper's figures where it has them."""
-    named = [key for key in TITLE if len({row[key] for row in rows}) > 1]
-    title = ", ".join(f"{key} {rows[0][key]}" for key in TITLE if key not in named)
+    named = [key for key in TITLE if len({row.get(key) for row in rows}) > 1]
+    said = [key for key in TITLE if key not in named and rows[0].get(key) is not None]
+    title = ", ".join(f"{key.replace('_', ' ')} {rows[0][key]}" for key in said)
     heads = [
         *(key.replace("_", " ") for key in (*named, "n_objects", "objects", "robot", "seed")),
         *("episodes", "success rate", "paper", "pushes", "paper", "error (mm)", "paper"),
@@ -107,7 +113,10 @@ def _read(file: Path) -> dict[str, Any]:
 def _row(results: dict[str, Any], status: dict[str, Any]) -> Row:
     figure = None
     if results["scenario"] == "random":  # the only one that the paper gives figures for
-        figure = paper_figure(results["model"], results["split"], results["n_objects"])
+        figure = paper_figure(
+            *(results[key] for key in ("model", "split", "n_objects")),
+            *(results.get(key) for key in ("curriculum", "trained_objects")),
+        )
     return {
         **results,
         "overrides": status.get("overrides"),
@@ -119,7 +128,8 @@ def _row(results: dict[str, Any], status: dict[str, Any]) -> Row:
 def _cells(row: Row, named: Sequence[str]) -> list[str]:
     paper = row["paper"] or {}
     return [
-        *(str(row[key]) for key in (*named, "n_objects", "objects", "robot", "seed", "episodes")),
+        *("-" if row.get(key) is None else str(row[key]) for key in named),
+        *(str(row[key]) for key in ("n_objects", "objects", "robot", "seed", "episodes")),
         _percent(row["success_rate"], row["success_rate_ci95"]),
         _percent(paper.get("success_rate")),
         _mean(row["steps"], row["steps_ci95"]),
@@ -152,11 +162,14 @@ def _line(cells: Iterable[str]) -> str:
 
 
 def _provenance(rows: Sequence[Row]) -> str:
-    """The paper's tables, the commits and the MuJoCo versions that the rows come from."""
-    tables = sorted({row["paper"]["table"] for row in rows if row["paper"]})
+    """The paper's tables and methods, the commits and MuJoCo versions that the rows come from."""
+    figures = [row["paper"] for row in rows if row["paper"]]
+    tables = sorted({figure["table"] for figure in figures})
+    methods = sorted({figure["method"] for figure in figures} - {row["model"] for row in rows})
     commits = sorted({_commit(row["git"]) for row in rows})
     mujoco = sorted({row["versions"].get("mujoco", "unknown") for row in rows})
-    paper = f"Paper: {' and '.join(tables)}. " if tables else ""
+    which = f" ({', '.join(methods)})" if methods else ""
+    paper = f"Paper: {' and '.join(tables)}{which}. " if tables else ""
     return f"{paper}Commit {' and '.join(commits)}; MuJoCo {' and '.join(mujoco)}."
 
 

@@ -10,26 +10,36 @@ class PaperFigure:
     """One row of a table of the paper.
 
     Attributes:
+        method: The model, or the paper's name for the way in which it was trained.
         table: Which table it stands in.
         success_rate: Share of successful episodes, 0 to 1.
         steps: Mean pushes over the successful episodes; None where none succeeded.
         error_mm: Mean position error over the successful episodes, millimetres; None likewise.
     """
 
+    method: str
     table: str
     success_rate: float
     steps: float | None
     error_mm: float | None
 
 
-# Table I, left half: 3 objects that were seen in training.
-_TRAIN: dict[str, tuple[float, float, float]] = {
-    "rule_based": (0.68, 57.7, 30.7),
+_Figures = tuple[float, float | None, float | None]
+
+# Table I: 3 objects, seen in training and held out from it; trained with 3 objects.
+_TABLE_I: dict[str, dict[str, _Figures]] = {
+    "rule_based": {"train": (0.68, 57.7, 30.7), "test": (0.69, 59.1, 28.8)},
+    "pose_gcn": {"train": (0.40, 45.1, 30.1), "test": (0.33, 33.7, 33.7)},
+    "gt_pose_gcn": {"train": (0.41, 42.0, 31.5), "test": (0.51, 44.5, 31.3)},
+    "segmentation_gcn": {"train": (0.18, 44.3, 31.4), "test": (0.16, 41.6, 26.3)},
+    "sdf_cnn": {"train": (0.75, 41.1, 30.0), "test": (0.70, 37.3, 30.3)},
+    "separate": {"train": (0.67, 39.1, 25.9), "test": (0.65, 36.2, 26.2)},
+    "sdfgcn": {"train": (0.80, 35.0, 29.5), "test": (0.80, 34.6, 31.3)},
 }
 
-# Table II: objects held out from training, by their number. Its row for 3 objects repeats the
-# right half of table I.
-_TEST: dict[str, dict[int, tuple[float, float, float]]] = {
+# Table II: objects held out from training, by their number. Its rows for 3 objects repeat table I
+# for the rule-based agent and SDFGCN-fixed.
+_TABLE_II: dict[str, dict[int, _Figures]] = {
     "rule_based": {
         2: (0.78, 35.2, 31.2),
         3: (0.69, 59.1, 28.8),
@@ -37,22 +47,64 @@ _TEST: dict[str, dict[int, tuple[float, float, float]]] = {
         5: (0.25, 89.8, 25.8),
         6: (0.20, 111.2, 31.0),
     },
+    "SDFGCN-fixed": {
+        2: (0.88, 20.3, 33.0),
+        3: (0.80, 34.6, 31.3),
+        4: (0.61, 47.5, 29.6),
+        5: (0.12, 58.2, 30.0),
+        6: (0.0, None, None),
+    },
+    "SDFGCN-random": {
+        2: (0.87, 21.0, 32.0),
+        3: (0.76, 34.3, 30.1),
+        4: (0.68, 48.5, 29.2),
+        5: (0.60, 85.9, 27.2),
+        6: (0.35, 99.5, 26.9),
+    },
+    "SDFGCN-curriculum": {
+        2: (0.84, 24.0, 30.8),
+        3: (0.83, 34.7, 28.6),
+        4: (0.64, 48.9, 28.9),
+        5: (0.61, 77.3, 26.9),
+        6: (0.44, 100.9, 28.7),
+    },
 }
 
+_SDFGCN = {"off": "SDFGCN-fixed", "random": "SDFGCN-random", "on": "SDFGCN-curriculum"}
 
-def paper_figure(model: str, split: str, n_objects: int) -> PaperFigure | None:
+
+def paper_figure(
+    model: str,
+    split: str,
+    n_objects: int,
+    curriculum: str | None = None,
+    trained_objects: int | None = None,
+) -> PaperFigure | None:
     """Look up what the paper reports for random rearrangements in simulation.
 
     Args:
         model: An option of `conf/model/`.
         split: "train" or "test" objects.
         n_objects: Objects on the table.
+        curriculum: The option of `conf/curriculum/` that the model was trained with; None for one
+            that is not trained, or where it is not known.
+        trained_objects: Objects in a training episode; counts only for `curriculum` "off".
 
     Returns:
-        The figure, or None where the paper has none.
+        The figure, or None where the paper has none for a model trained like this.
     """
-    if split == "test" and n_objects in _TEST.get(model, {}):
-        return PaperFigure("table II", *_TEST[model][n_objects])
-    if split == "train" and n_objects == 3 and model in _TRAIN:
-        return PaperFigure("table I", *_TRAIN[model])
+    if model not in _TABLE_I:
+        return None
+    method = model
+    if model != "rule_based":
+        if curriculum is None or (curriculum == "off" and trained_objects != 3):
+            return None
+        if model == "sdfgcn":
+            method = _SDFGCN[curriculum]
+        elif curriculum != "off":
+            return None
+    if split == "test" and n_objects in _TABLE_II.get(method, {}):
+        return PaperFigure(method, "table II", *_TABLE_II[method][n_objects])
+    if n_objects == 3 and method in (model, "SDFGCN-fixed"):
+        return PaperFigure(method, "table I", *_TABLE_I[model][split])
     return None

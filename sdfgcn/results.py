@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import platform
 import subprocess
 from collections.abc import Sequence
@@ -9,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from sdfgcn.config import Config
+from sdfgcn.config import MODEL_CONFIGS, Config
 from sdfgcn.episodes import Episode
 from sdfgcn.paper import PaperFigure, paper_figure
 
@@ -47,7 +48,7 @@ def summarise(config: Config, episodes: Sequence[Episode], wall_s: float) -> dic
     steps = [float(episode.pushes) for episode in successes]
     errors = [episode.error_mm for episode in successes]
     return {
-        "model": config.model.name,
+        **_network(config),
         "objects": config.env.objects.name,
         "split": config.env.split,
         "n_objects": config.env.n_objects,
@@ -71,6 +72,22 @@ def summarise(config: Config, episodes: Sequence[Episode], wall_s: float) -> dic
         "versions": versions(),
         "git": git_state(_ROOT),
         "wall_s": wall_s,
+    }
+
+
+def _network(config: Config) -> dict[str, Any]:
+    """The model, and how its network had been trained, as far as its policy says so."""
+    about: dict[str, Any] = {}
+    if config.checkpoint is not None and config.model.name in (*MODEL_CONFIGS, "released"):
+        from sdfgcn.agents.policy import ABOUT, find_policy  # loads torch
+
+        file = find_policy(config.checkpoint) / ABOUT
+        about = json.loads(file.read_text(encoding="utf-8"))
+    training = about.get("training", {})
+    return {
+        "model": about.get("model", {}).get("name", config.model.name),
+        "curriculum": training.get("curriculum.name"),
+        "trained_objects": training.get("n_objects"),
     }
 
 
@@ -152,7 +169,7 @@ def table(results: dict[str, Any]) -> str:
     if paper is not None:
         rows.append(
             (
-                f"{results['model']} (paper, {paper.table})",
+                f"{paper.method} (paper, {paper.table})",
                 "200" if paper.table == "table I" else "-",
                 _cell(paper.success_rate, percent=True),
                 _cell(paper.steps),
@@ -174,7 +191,10 @@ def table(results: dict[str, Any]) -> str:
 def _paper(results: dict[str, Any]) -> PaperFigure | None:
     if results["scenario"] != "random":
         return None
-    return paper_figure(results["model"], results["split"], results["n_objects"])
+    return paper_figure(
+        *(results[key] for key in ("model", "split", "n_objects")),
+        *(results.get(key) for key in ("curriculum", "trained_objects")),
+    )
 
 
 def _cell(

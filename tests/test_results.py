@@ -1,9 +1,10 @@
 import json
 import subprocess
+from dataclasses import astuple, replace
 from pathlib import Path
 
 import pytest
-from configs import compose_config, real_config
+from configs import CONF, compose_config, real_config
 from omegaconf import OmegaConf
 
 from sdfgcn.episodes import COLUMNS, Episode, EpisodeTable
@@ -102,6 +103,51 @@ def test_paper_figures() -> None:
     assert paper_figure("rule_based", "train", 4) is None
     assert paper_figure("rule_based", "test", 7) is None
     assert paper_figure("another", "test", 3) is None
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        # Table I's columns: train set, test set.
+        (("pose_gcn", "train", 3, "off", 3), ("pose_gcn", "table I", 0.40, 45.1, 30.1)),
+        (("gt_pose_gcn", "test", 3, "off", 3), ("gt_pose_gcn", "table I", 0.51, 44.5, 31.3)),
+        (("sdf_cnn", "test", 3, "off", 3), ("sdf_cnn", "table I", 0.70, 37.3, 30.3)),
+        (("separate", "test", 3, "off", 3), ("separate", "table I", 0.65, 36.2, 26.2)),
+        (("sdfgcn", "train", 3, "off", 3), ("SDFGCN-fixed", "table I", 0.80, 35.0, 29.5)),
+        # Table II, by curriculum.
+        (("sdfgcn", "test", 3, "off", 3), ("SDFGCN-fixed", "table II", 0.80, 34.6, 31.3)),
+        (("sdfgcn", "test", 6, "off", 3), ("SDFGCN-fixed", "table II", 0.0, None, None)),
+        (("sdfgcn", "test", 5, "random", 3), ("SDFGCN-random", "table II", 0.60, 85.9, 27.2)),
+        (("sdfgcn", "test", 4, "on", 2), ("SDFGCN-curriculum", "table II", 0.64, 48.9, 28.9)),
+        # The paper has no such training, or no such evaluation.
+        (("sdfgcn", "test", 5, "off", 5), None),
+        (("sdfgcn", "train", 3, "on", 3), None),
+        (("sdfgcn", "test", 3), None),
+        (("sdf_cnn", "test", 3, "on", 3), None),
+        (("sdf_cnn", "test", 4, "off", 3), None),
+    ],
+)
+def test_paper_figures_of_learned_methods(asked: tuple, told: tuple | None) -> None:
+    figure = paper_figure(*asked)
+    assert (figure and astuple(figure)) == told
+
+
+def test_every_method_of_table_i_is_a_model() -> None:
+    models = {path.stem for path in (CONF / "model").glob("*.yaml")} - {"released"}
+    trained = {"curriculum": "off", "trained_objects": 3}
+    assert {model for model in models if paper_figure(model, "test", 3, **trained)} == models
+
+
+@pytest.mark.parametrize("model", ["sdfgcn", "released"])
+def test_a_trained_network_stands_beside_its_method(model: str, tmp_path: Path) -> None:
+    training = {"n_objects": 3, "curriculum.name": "on"}
+    about = {"model": {"name": "sdfgcn"}, "training": training}
+    write_json(tmp_path / "policy.json", about)
+    config = replace(real_config(f"model={model}"), checkpoint=str(tmp_path))
+    results = summarise(config, [episode(0)], wall_s=1.0)
+    assert results["model"] == "sdfgcn"
+    assert (results["curriculum"], results["trained_objects"]) == ("on", 3)
+    assert "\nSDFGCN-curriculum (paper, table II)  -         83%" in table(results)
 
 
 def test_table_stands_beside_the_paper() -> None:

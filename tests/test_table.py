@@ -101,6 +101,26 @@ def test_what_differs_becomes_a_column(tmp_path: Path) -> None:
     assert "Paper: table I and table II. Commit ffffffffff with uncommitted changes;" in text
 
 
+def test_learned_models(tmp_path: Path) -> None:
+    trained = {"model": "sdfgcn", "curriculum": "off", "trained_objects": 3, "loop_distance": None}
+    folders = [finished_run(tmp_path / "0", **trained, epsilon=0.1)]
+    folders += [finished_run(tmp_path / "1", **{**trained, "epsilon": 0.0, "loop_distance": 0.01})]
+    text = table.markdown(table.collect(folders))
+    assert text.startswith(
+        "Model sdfgcn, split test, scenario random, perception oracle, curriculum off.\n"
+    )
+    assert [(row[:2], row[8], row[10]) for row in body(text)] == [
+        (["0.0", "0.01"], "80%", "34.6"),
+        (["0.1", "-"], "80%", "34.6"),
+    ]
+    assert "Paper: table II (SDFGCN-fixed)." in text
+    several = [*folders, finished_run(tmp_path / "2")]  # beside the rule-based agent
+    rows = body(table.markdown(table.collect(several)))
+    assert [(row[:2], row[-6]) for row in rows] == [
+        *((["rule_based", "-"], "69%"), (["sdfgcn", "off"], "80%"), (["sdfgcn", "off"], "80%")),
+    ]
+
+
 def test_what_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     readme = tmp_path / "README.md"
     readme.write_text(README)

@@ -20,10 +20,10 @@ from sdfgcn.loggers import NoLogger
 
 SMALL = (
     *("objects=household", "robot=gripper", "model=sdfgcn", "n_objects=2", "train.split=test"),
-    *("collector=sync", "collector.pushes_per_batch=10", "budget=smoke", "budget.pushes=60"),
-    *("budget.minutes=null", "budget.epsilon_pushes=50", "train.learning_starts=20"),
-    *("train.updates_per_push=0.5", "train.target_interval=7", "train.log_pushes=20"),
-    *("train.batch_size=8", "train.replay_capacity=50", "train.checkpoint_minutes=0"),
+    *("collector=sync", "collector.pushes_per_batch=10", "budget=smoke", "budget.pushes=40"),
+    *("budget.minutes=null", "budget.epsilon_pushes=35", "train.learning_starts=10"),
+    *("train.updates_per_push=0.5", "train.target_interval=7", "train.log_pushes=10"),
+    *("train.batch_size=8", "train.replay_capacity=30", "train.checkpoint_minutes=0"),
 )
 STEADY = ("pushes", "updates", "episodes", "success_rate", "return", "loss", "epsilon")
 
@@ -95,9 +95,9 @@ def test_killed_three_times_it_ends_as_if_nothing_had_happened(
 
 def test_what_train_csv_says(whole: Path) -> None:
     table = rows(whole)
-    assert [row["pushes"] for row in table] == ["20", "40", "60"]
-    assert [row["updates"] for row in table] == ["0", "10", "20"]
-    assert [float(row["epsilon"]) for row in table] == pytest.approx([0.52, 0.24, 0.1])
+    assert [row["pushes"] for row in table] == ["10", "20", "30", "40"]
+    assert [row["updates"] for row in table] == ["0", "5", "10", "15"]
+    assert [float(row["epsilon"]) for row in table] == pytest.approx([0.6, 0.4, 0.2, 0.1])
     assert table[0]["loss"] == "nan"
     assert all(float(row["loss"]) > 0 for row in table[1:])
 
@@ -112,10 +112,10 @@ def go_on(folder: Path, *overrides: str) -> None:
     train(real_config(*SMALL, *overrides), folder, NoLogger(folder), small_network)
 
 
-@pytest.mark.parametrize("length", [0, 100, 20_000])
-def test_a_damaged_checkpoint_is_named(length: int, whole: Path, tmp_path: Path) -> None:
+@pytest.mark.parametrize("share", [0.0, 0.01, 0.5])
+def test_a_damaged_checkpoint_is_named(share: float, whole: Path, tmp_path: Path) -> None:
     content = (whole / "checkpoint.zip").read_bytes()
-    (tmp_path / "checkpoint.zip").write_bytes(content[:length])
+    (tmp_path / "checkpoint.zip").write_bytes(content[: int(share * len(content))])
     with pytest.raises(SdfgcnError, match=r"checkpoint\.zip is damaged or no checkpoint"):
         go_on(tmp_path)
 
@@ -145,7 +145,10 @@ def test_no_gpu_is_one_sentence(tmp_path: Path) -> None:
         go_on(tmp_path, "runtime=gpu")
 
 
-def test_global_randomness_is_left_alone(whole: Path, tmp_path: Path) -> None:
+def test_global_randomness_is_left_alone(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("sdfgcn.envs.rearrangement.load_catalogue", lambda config, split: TOYS)
     (tmp_path / "checkpoint.zip").write_bytes((whole / "checkpoint.zip").read_bytes())
     (tmp_path / "train.csv").write_bytes((whole / "train.csv").read_bytes())
     before = torch.get_rng_state()

@@ -2,33 +2,41 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 import json
 import os
 import subprocess
 import sys
+from contextlib import closing
 from pathlib import Path
 
+import numpy as np
 import pytest
-import torch
 from configs import compose_config, real_config
 from hydra.errors import HydraException
-from tensordict import TensorDictBase
+from omegaconf import OmegaConf
+from recordings import Recording
 
+from sdfgcn import load_policy
 from sdfgcn.cli import to_sentence
+from sdfgcn.config import N_DIRECTIONS
+from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.experiment import run_experiment
 from sdfgcn.loggers import TensorboardLogger, WandbLogger
 from sdfgcn.runs import RunFolder
-from sdfgcn.train.actors import build_actors, training_env
-from sdfgcn.train.curriculum import Counts
-from sdfgcn.train.learner import Explorer
-from sdfgcn.train.loop import q_network
+from sdfgcn.validation import typed
 
 ROOT = Path(__file__).parents[1]
+# Every episode succeeds, and each success brings in the next count.
+GROWING = (
+    *("env.success_threshold=1.0", "curriculum=on", "curriculum.counts=[1,2,3]"),
+    *("curriculum.window=1", "curriculum.bar=0.0", "curriculum.newest_share=1.0"),
+)
 SMALL = (
     *("objects=household", "robot=gripper", "n_objects=2", "env.pushes_per_object=1"),
-    *("budget=smoke", "budget.pushes=20", "collector.pushes_per_batch=10", "logger=none"),
+    *("budget=smoke", "budget.pushes=50", "collector.pushes_per_batch=5", "logger=none"),
     *("train.learning_starts=5", "train.batch_size=4", "train.log_pushes=10"),
     *("eval.episodes=1", "runtime.workers=0", "viz.episodes=1"),
 )
@@ -48,7 +56,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The run folder of a training with an actor of its own, and of its evaluation."""
     folder = tmp_path_factory.mktemp("run")
-    done = run("model=gt_pose_gcn", *SMALL, "collector=async", f"hydra.run.dir={folder}")
+    done = run(*SMALL, *GROWING, "model=gt_pose_gcn", "collector=async", f"hydra.run.dir={folder}")
     assert done.returncode == 0, done.stderr
     assert done.stderr == ""
     assert "gt_pose_gcn (this run)" in done.stdout
@@ -58,17 +66,32 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_trains_then_evaluates(folder: Path) -> None:
     with (folder / "train.csv").open() as file:
         last = list(csv.DictReader(file))[-1]
-    assert int(last["pushes"]) >= 20
+    assert int(last["pushes"]) >= 50
     assert json.loads((folder / "status.json").read_text())["state"] == "done"
     about = json.loads((folder / "policy" / "policy.json").read_text())
     assert about["model"]["name"] == "gt_pose_gcn"
-    assert about["budget"]["pushes"] == 20
+    assert about["budget"]["pushes"] == 50
     assert json.loads((folder / "results.json").read_text())["model"] == "gt_pose_gcn"
 
 
+def test_actors_elsewhere_hear_of_a_new_count(folder: Path) -> None:
+    """The third count comes in only when the actor has played episodes of the second."""
+    with (folder / "train.csv").open() as file:
+        counts = [int(row["n_objects"]) for row in csv.DictReader(file)]
+    assert counts[-1] == 3
+
+
 def test_q_values_are_in_the_recording(folder: Path) -> None:
-    content = (folder / "recordings" / "episode_000.rrd").read_bytes()
-    assert b"q_value" in content or b"q_values" in content
+    """Of every object and direction, as the policy gives them at the start of the episode."""
+    recording = Recording(folder / "recordings" / "episode_000.rrd")
+    kept = recording["/q_values", "Tensor:data"][1][0]
+    with (folder / "episodes.csv").open() as file:
+        seed = int(next(csv.DictReader(file))["seed"])
+    with closing(RearrangementEnv(real_config(*SMALL).env)) as env:
+        given = load_policy(folder)(env.reset_episode(seed))["action_value"]
+    assert kept["shape"] == [2, N_DIRECTIONS]
+    np.testing.assert_allclose(kept["buffer"], given[: 2 * N_DIRECTIONS], atol=1e-5)
+    assert "| #1 " in recording["/q_values/table", "TextDocument:text"][1][0]
 
 
 def test_evaluates_a_checkpoint_without_training(folder: Path, tmp_path: Path) -> None:
@@ -80,46 +103,25 @@ def test_evaluates_a_checkpoint_without_training(folder: Path, tmp_path: Path) -
     assert not (tmp_path / "train.csv").exists()
 
 
-def test_actors_elsewhere_hear_of_a_new_count() -> None:
-    config = real_config(
-        *(*SMALL, "model=gt_pose_gcn", "curriculum=on", "curriculum.counts=[1,2]"),
-        *("train.pushes_per_object=1", "collector=async", "collector.pushes_per_batch=4"),
-    )
-    counts = Counts(config.curriculum, config.n_objects)
-    explorer = Explorer(q_network(config, 2), 2, config.train, epsilon_pushes=10)
-    env = training_env(config, counts, max_objects=2)
-    actors = build_actors(config, env, counts, explorer.policy)
-    try:
-        before = actors.collect(lambda: False)
-        counts.reached += 1
-        after = [actors.collect(lambda: False) for _ in range(8)]
-    finally:
-        actors.close()
-    assert n_objects(before) == {1}
-    assert n_objects(torch.cat(after)) == {1, 2}
-
-
-def n_objects(collected: TensorDictBase) -> set[int]:
-    return set((collected["goal_position"] != 0).any(dim=-1).sum(dim=-1).tolist())
-
-
 # ------------------------------------------------------------------ config
 
 
 @pytest.mark.parametrize(
-    ("overrides", "told"),
+    ("key", "value", "told"),
     [
-        (["train.discount=1.5"], "train.discount is 1.5, but must lie between 0 and 1."),
-        (["budget.pushes=0"], "budget.pushes is 0, but must be at least 1."),
-        (["train.batch_size=99999"], "train.batch_size is 99999, but must not be above train.re"),
-        (["train.loss=l7"], "train.loss is 'l7', but must be one of smooth_l1, l2."),
-        (["runtime.precision=int8"], "runtime.precision is 'int8', but must be one of auto,"),
-        (["curriculum=on", "curriculum.counts=[2,9]"], "curriculum.counts is [2, 9], but every"),
+        ("train.discount", 1.5, "train.discount is 1.5, but must lie between 0 and 1."),
+        ("budget.pushes", 0, "budget.pushes is 0, but must be at least 1."),
+        ("train.batch_size", 99999, "train.batch_size is 99999, but must not be above train.re"),
+        ("train.loss", "l7", "train.loss is 'l7', but must be one of smooth_l1, l2."),
+        ("runtime.precision", "int8", "runtime.precision is 'int8', but must be one of auto,"),
+        ("curriculum.counts", [2, 9], "curriculum.counts is [2, 9], but every"),
     ],
 )
-def test_training_numbers_out_of_range(overrides: list[str], told: str) -> None:
+def test_training_numbers_out_of_range(key: str, value: object, told: str) -> None:
+    config = copy.deepcopy(compose_config("model=sdfgcn"))  # to compose anew takes a second
+    OmegaConf.update(config, key, value)
     with pytest.raises(SdfgcnError) as raised:
-        real_config("model=sdfgcn", *overrides)
+        typed(config)
     assert str(raised.value).startswith(told)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import skfmm
 from PIL import Image
-from rerun.chunk import RrdReader
+from recordings import Recording
 
 from sdfgcn.config import ArenaConfig, EnvConfig
 from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
@@ -19,6 +19,7 @@ from sdfgcn.sim.camera import CameraModel
 from sdfgcn.sim.types import Push
 from sdfgcn.viz import RECORDERS
 from sdfgcn.viz.geometry import edge_strips, node_slots, vertex_normals, zero_contour
+from sdfgcn.viz.words import q_table
 
 SIZE = 96
 # 1 m above the table with 90 degrees of view: 48 pixels to the metre, (0, 0) in the middle.
@@ -88,7 +89,9 @@ def episode_steps() -> list[StepRecord]:
     first = Push(1, 1, np.array([-0.5, 0, 0]), np.array([0.25, 0.25, 0]), "done")
     second = Push(0, 6, np.array([0.5, 0.75, 0]), np.array([0.5, 0.25, 0]), "blocked")
     q_values = np.arange(32, dtype=np.float32).reshape(4, 8)  # the fourth node is padding
+    legal = q_values % 8 != 2
     common = {"out_of_range": False, "q_values": q_values, "scene": after, "success": False}
+    common["legal"] = legal
     return [
         StepRecord(
             index=1,
@@ -118,34 +121,6 @@ def record(path, episode=None, steps=None, name="rerun") -> None:
         recorder.start(episode or episode_start())
         for step in episode_steps() if steps is None else steps:
             recorder.step(step)
-
-
-class Recording:
-    """A recording read back: for each entity and component, values by push (None is static)."""
-
-    def __init__(self, path):
-        reader = RrdReader(path)
-        self.applications = {entry.application_id for entry in reader.recordings()}
-        self.blueprints = {entry.application_id for entry in reader.blueprints()}
-        self.timelines, self.values = set(), {}
-        for chunk in reader.store().stream():
-            self.timelines |= set(chunk.timeline_names)
-            batch = chunk.to_record_batch().to_pydict()
-            pushes = batch.get("push", [None] * chunk.num_rows)
-            for component in batch.keys() - {"push", "rerun.controls.RowId"}:
-                rows = self.values.setdefault((chunk.entity_path, component), {})
-                cells = zip(pushes, batch[component], strict=True)
-                rows.update({push: cell for push, cell in cells if cell is not None})
-
-    def __getitem__(self, key):
-        return self.values[key]
-
-    def entities(self):
-        return {entity for entity, _ in self.values}
-
-    def pushes(self, entity):
-        found = [rows.keys() for (path, _), rows in self.values.items() if path == entity]
-        return sorted(set().union(*found) - {None})
 
 
 @pytest.fixture(scope="module")
@@ -202,6 +177,7 @@ def test_entities_and_timeline(recording):
         "/outcome/success",
         "/outcome/out_of_range",
         "/q_values",
+        "/q_values/table",
         "/log",
         "/summary",
     }
@@ -296,6 +272,28 @@ def test_figures(recording):
     assert series("/outcome/success") == {1: 0.0, 2: 0.0}
     q_values = recording["/q_values", "Tensor:data"][1][0]
     assert q_values["shape"] == [3, 8]  # three nodes; padding is left out
+
+
+def test_q_values_in_words(recording):
+    texts = recording["/q_values/table", "TextDocument:text"]
+    title, _, head, _, *rows, _, note = texts[1][0].splitlines()
+    # Node 1 shows slot 0. Values count up to 23 from node to node; direction 2 is not legal.
+    assert title == "#0 red towards 45 degrees: number 13 by Q-value of 21 legal pushes."
+    assert head.startswith("| object | → 0° | ↗ 45° | ↑ 90° |")
+    assert [row.split(" | ")[:4] for row in rows] == [
+        ["| #2 blue", "0.00", "1.00", "(2.00)"],
+        ["| #0 red", "8.00", "**9.00**", "(10.00)"],
+        ["| #1 green", "16.00", "17.00", "(18.00)"],
+    ]
+    assert note == "Bold: the push. In brackets: not legal."
+    assert texts[2][0].splitlines()[0].startswith("#2 blue towards 270 degrees: number 16 by")
+
+
+def test_the_highest_q_value():
+    first, _ = episode_steps()
+    best = replace(first, q_values=-np.abs(np.arange(32.0).reshape(4, 8) - 9))
+    told = q_table(["a", "b", "c"], replace(best, legal=None))
+    assert told.startswith("b towards 45 degrees: the highest Q-value of 24 legal pushes.")
 
 
 def test_words(recording):

@@ -156,7 +156,7 @@ class RearrangementEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         action = int(tensordict["action"])
         task = self._task
-        found_before = self._found
+        found_before, legal = self._found, self._action_mask
         push = self._execute(*divmod(action, N_DIRECTIONS))
         self._pushes += 1
         self._look()
@@ -180,6 +180,7 @@ class RearrangementEnv(EnvBase):
             terminated=terminated,
             truncated=truncated,
             q_values=None,
+            legal=legal.reshape(-1, N_DIRECTIONS).numpy(),
         )
         result = self._observation(success=success, out_of_range=out_of_range)
         result["reward"] = torch.tensor([self.last_step.reward], dtype=torch.float32)

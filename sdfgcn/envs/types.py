@@ -76,6 +76,7 @@ class StepRecord:
         terminated: The episode ended by success or out of range.
         truncated: The episode ended at the step limit.
         q_values: float [N, 8] the agent's action values, if it has any.
+        legal: bool [N, 8] which actions were legal; None: not known.
     """
 
     index: int
@@ -89,3 +90,4 @@ class StepRecord:
     terminated: bool
     truncated: bool
     q_values: NDArray[np.float32] | None
+    legal: NDArray[np.bool_] | None = None

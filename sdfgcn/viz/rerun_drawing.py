@@ -177,13 +177,14 @@ def blueprint(arena: ArenaConfig, n_objects: int, with_q_values: bool) -> rrb.Bl
         ),
         rrb.TextDocumentView(origin="summary", name="Summary"),
     )
-    q_values = [rrb.TensorView(origin="q_values", name="Q-values")] if with_q_values else []
+    q_values = [_q_values_view()] if with_q_values else []
     figures = rrb.Horizontal(
         rrb.TimeSeriesView(origin="distance", name="Distance to goal (m)"),
         rrb.TimeSeriesView(origin="reward", name="Reward"),
         rrb.TimeSeriesView(origin="outcome", name="Return and outcome"),
         *q_values,
         words,
+        column_shares=[1, 1, 1, *([2] * len(q_values)), 1],
     )
     top = rrb.Horizontal(pictures, _world_view(arena), sdfs, column_shares=[2, 3, 2])
     return rrb.Blueprint(
@@ -191,6 +192,13 @@ def blueprint(arena: ArenaConfig, n_objects: int, with_q_values: bool) -> rrb.Bl
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, fps=2.0),
         rrb.BlueprintPanel(state="collapsed"),
         rrb.SelectionPanel(state="collapsed"),
+    )
+
+
+def _q_values_view() -> rrb.Tabs:
+    return rrb.Tabs(
+        rrb.TextDocumentView(origin="q_values/table", name="Q-values"),
+        rrb.TensorView(origin="q_values", name="Heat map"),
     )
 
 

@@ -14,7 +14,8 @@ after it. Entities, where i is an object's slot:
     reward/total, reward/terms/*       the reward of each push
     outcome/return                     undiscounted sum of the rewards so far
     outcome/success, outcome/out_of_range
-    q_values                           [nodes, 8] action values the push was picked by, if any
+    q_values                           [nodes, 8] Q-values that the push was picked by, if any
+    q_values/table                     the same in words: objects, directions, legal ones, the push
     log, summary                       what happened, in words
 
 Only this file and `rerun_drawing` import rerun.
@@ -28,7 +29,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from sdfgcn.config import N_DIRECTIONS, EnvConfig
+from sdfgcn.config import EnvConfig
 from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.viz import Recorder
@@ -53,6 +54,7 @@ from sdfgcn.viz.rerun_drawing import (
     table,
     transform,
 )
+from sdfgcn.viz.words import node_name, outcome, push_sentence, q_table, slot_name, summary
 
 # One batch per entity instead of one per push: far less overhead per row.
 _BATCHES = rr.ChunkBatcherConfig(flush_tick=3600.0, flush_num_bytes=4 * 2**20)
@@ -158,7 +160,7 @@ class RerunRecorder(Recorder):
         self._stream.set_time(TIMELINE, sequence=push)
 
     def _name(self, slot: int) -> str:
-        return f"#{slot} {self._episode.objects[slot].name}"
+        return slot_name(self._episode, slot)
 
     def _log_classes(self) -> None:
         slots = range(len(self._episode.objects))
@@ -264,22 +266,22 @@ class RerunRecorder(Recorder):
         start, end = self._episode.camera.project(np.stack([push.start, push.end]))
         self._log("world/camera/push", arrow_2d(start, end, push.status))
         self._log("world/push", arrow_3d(push.start, push.end, push.status))
-        heading = push.direction * 360 // N_DIRECTIONS
-        text = (
-            f"{self._node_name(push.object)} towards {heading} degrees: "
-            f"{push.status.replace('_', ' ')}, reward {step.reward:+.3f}."
-        )
         level = rr.TextLogLevel.INFO if push.status == "done" else rr.TextLogLevel.WARN
+        # Nodes of the scene before the push: that is what it was picked by.
+        names = [node_name(self._episode, i, int(slot)) for i, slot in enumerate(self._slots)]
+        name = names[push.object] if push.object < len(names) else f"node {push.object}"
+        text = push_sentence(name, step)
         self._log("log", rr.TextLog(text, level=level, color=STATUS_COLORS[push.status]))
         if step.q_values is not None:
-            # Rows beyond the detected objects are padding.
-            q_values = np.asarray(step.q_values, dtype=np.float32)[: len(self._slots)]
-            self._log("q_values", rr.Tensor(q_values, dim_names=("node", "direction")))
+            self._log_q_values(step, names)
 
-    def _node_name(self, node: int) -> str:
-        """Name of a node of the scene before the push."""
-        slot = self._slots[node] if node < len(self._slots) else -1
-        return self._name(slot) if slot >= 0 else f"node {node}"
+    def _log_q_values(self, step: StepRecord, names: list[str]) -> None:
+        # Rows beyond the detected objects are padding.
+        q_values = np.asarray(step.q_values, dtype=np.float32)[: len(names)]
+        self._log("q_values", rr.Tensor(q_values, dim_names=("node", "direction")))
+        if step.push.object < len(names):
+            words = rr.TextDocument(q_table(names, step), media_type=rr.MediaType.MARKDOWN)
+            self._log("q_values/table", words)
 
     def _log_figures(self, step: StepRecord) -> None:
         self._return += step.reward
@@ -303,27 +305,16 @@ class RerunRecorder(Recorder):
 
     def _log_summary(self) -> None:
         episode, last = self._episode, self._last
-        outcome = _outcome(last)
-        pushes = last.index if last else 0
-        lines = [
-            f"# Seed {episode.seed}: {outcome}",
-            f"{pushes} pushes, return {self._return:.3f}",
-            "",
-            "| object | category | error (mm) |",
-            "| --- | --- | ---: |",
-        ]
-        for slot, model in enumerate(episode.objects):
-            error = f"{1000 * last.distances[slot]:.0f}" if last else ""
-            lines.append(f"| {self._name(slot)} | {model.category} | {error} |")
-        text = "\n".join(lines)
+        ended, pushes = outcome(last), last.index if last else 0
+        text = summary(episode, last, self._return)
         document = rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
         self._log("summary", document, static=True)
-        self._log("log", rr.TextLog(f"{outcome} after {pushes} pushes".capitalize() + "."))
+        self._log("log", rr.TextLog(f"{ended} after {pushes} pushes".capitalize() + "."))
         assert self._stream is not None
         properties = rr.AnyValues(
             seed=episode.seed,
             objects=[model.name for model in episode.objects],
-            outcome=outcome,
+            outcome=ended,
             pushes=pushes,
             undiscounted_return=self._return,
         )
@@ -333,15 +324,3 @@ class RerunRecorder(Recorder):
         assert self._stream is not None, "start() comes first"
         layout = blueprint(self._env.arena, len(self._episode.objects), with_q_values)
         self._stream.send_blueprint(layout)
-
-
-def _outcome(last: StepRecord | None) -> str:
-    if last is None:
-        return "no push"
-    if last.success:
-        return "success"
-    if last.out_of_range:
-        return "out of range"
-    if last.terminated:
-        return "terminated"
-    return "step limit" if last.truncated else "unfinished"

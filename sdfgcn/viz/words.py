@@ -1,0 +1,95 @@
+"""What a recording says in words: names, log, summary, and the table of Q-values."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from sdfgcn.config import N_DIRECTIONS
+from sdfgcn.envs.types import EpisodeStart, StepRecord
+
+_ARROWS = "→↗↑↖←↙↓↘"  # of the directions, as they head in the picture
+
+
+def slot_name(episode: EpisodeStart, slot: int) -> str:
+    """Name of the object in a slot."""
+    return f"#{slot} {episode.objects[slot].name}"
+
+
+def node_name(episode: EpisodeStart, node: int, slot: int) -> str:
+    """Name of what a node shows; slot -1 is none of the objects."""
+    return slot_name(episode, slot) if slot >= 0 else f"node {node}"
+
+
+def push_sentence(name: str, step: StepRecord) -> str:
+    """The log's line on a push of the object called `name`."""
+    status = step.push.status.replace("_", " ")
+    return f"{_push(name, step)}: {status}, reward {step.reward:+.3f}."
+
+
+def outcome(last: StepRecord | None) -> str:
+    """How an episode ended, given its last push."""
+    if last is None:
+        return "no push"
+    if last.success:
+        return "success"
+    if last.out_of_range:
+        return "out of range"
+    if last.terminated:
+        return "terminated"
+    return "step limit" if last.truncated else "unfinished"
+
+
+def summary(episode: EpisodeStart, last: StepRecord | None, total_reward: float) -> str:
+    """The whole episode, as Markdown."""
+    lines = [
+        f"# Seed {episode.seed}: {outcome(last)}",
+        f"{last.index if last else 0} pushes, return {total_reward:.3f}",
+        "",
+        "| object | category | error (mm) |",
+        "| --- | --- | ---: |",
+    ]
+    for slot, model in enumerate(episode.objects):
+        error = f"{1000 * last.distances[slot]:.0f}" if last else ""
+        lines.append(f"| {slot_name(episode, slot)} | {model.category} | {error} |")
+    return "\n".join(lines)
+
+
+def q_table(names: list[str], step: StepRecord) -> str:
+    """The Q-values that a push was picked by, as Markdown.
+
+    Args:
+        names: What each node of the scene before the push is called.
+        step: The push, with `q_values`; they are of the scene before it.
+
+    Returns:
+        A table of objects and directions: the pushed one in bold, what was not legal in brackets.
+    """
+    assert step.q_values is not None, "there is nothing to tell"
+    values = step.q_values[: len(names)]
+    legal = np.ones_like(values, dtype=bool) if step.legal is None else step.legal[: len(names)]
+    pushed = (step.push.object, step.push.direction)
+    heads = [f"{arrow} {turn}°" for turn, arrow in zip(range(0, 360, 45), _ARROWS, strict=True)]
+    lines = [
+        f"{_push(names[pushed[0]], step)}: {_rank(float(values[pushed]), values[legal])}.",
+        "",
+        f"| object | {' | '.join(heads)} |",
+        f"| --- |{' ---: |' * N_DIRECTIONS}",
+    ]
+    for node, name in enumerate(names):
+        cells = [f"{value:.2f}" for value in values[node]]
+        cells = [cell if legal[node, k] else f"({cell})" for k, cell in enumerate(cells)]
+        if node == pushed[0]:
+            cells[pushed[1]] = f"**{cells[pushed[1]]}**"
+        lines.append(f"| {name} | {' | '.join(cells)} |")
+    return "\n".join([*lines, "", "Bold: the push. In brackets: not legal."])
+
+
+def _push(name: str, step: StepRecord) -> str:
+    return f"{name} towards {step.push.direction * 360 // N_DIRECTIONS} degrees"
+
+
+def _rank(value: float, legal: np.ndarray) -> str:
+    better = int((legal > value).sum())
+    if better == 0:
+        return f"the highest Q-value of {len(legal)} legal pushes"
+    return f"number {better + 1} by Q-value of {len(legal)} legal pushes"
