@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from conftest import Envs
+from recordings import Recording
 from torchrl.envs.utils import check_env_specs
 from toys import act
 
@@ -15,6 +16,7 @@ from sdfgcn.graph import EDGES, scene_graph
 from sdfgcn.perception.perception import Perception
 from sdfgcn.perception.perceptions import PERCEPTIONS
 from sdfgcn.perception.vision import rows_of
+from sdfgcn.viz import RECORDERS
 
 KEYS = ("sdf", "goal_sdf", "node_mask", "correspondence", "center", "position", "action_mask")
 
@@ -52,6 +54,26 @@ def test_every_detection_has_its_features_and_its_place(env):
     assert td["correspondence"][matched].unique().numel() == matched.sum()
     # A detected centre lies on its object.
     assert (td["center"] - td["position"])[nodes].norm(dim=1).max() < 0.05
+
+
+def test_recording_shows_masks_sdfs_and_matches(env, tmp_path):
+    path = tmp_path / "episode.rrd"
+    env.record = True
+    try:
+        td = env.reset_episode(8)
+        with RECORDERS["rerun"](path, env.config) as recorder:
+            recorder.start(env.episode_start)
+            act(env, td, int(td["action_mask"].int().argmax()))
+            recorder.step(env.last_step)
+    finally:
+        env.record = False
+    recording = Recording(path)
+    seen = recording.entities()
+    for entity in ("/world/camera/picture", "/world/camera/masks", "/world/camera/graph", "/goal"):
+        assert any(each.startswith(entity) for each in seen), entity
+    # One SDF for each object that is seen to start with, and as many matches drawn as there are.
+    assert sum(each.startswith("/sdf/scene/") and each.count("/") == 3 for each in seen) >= 2
+    assert (env.last_step.scene.correspondence >= 0).any()
 
 
 # ------------------------------------------------------------------ what may go wrong
