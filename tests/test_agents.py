@@ -42,6 +42,9 @@ def observation(
             "sdf": torch.ones(n, 96, 96),
             "goal_sdf": torch.ones(n, 96, 96),
             "goal_node_mask": nodes,
+            "center": torch.zeros(n, 2),
+            "goal_center": goal,
+            "pushes": torch.zeros(1, dtype=torch.int64),
         }
     )
 
@@ -110,7 +113,7 @@ def test_pushes_something_legal_when_nothing_else_helps(config: Config) -> None:
 def test_under_vision_it_goes_by_matched_detections() -> None:
     """True positions say +y for both; the matches and the detected centres say otherwise."""
     td = observation([(0.0, FAR), (0.0, FAR), (0.0, FAR)])
-    td["center"], td["goal_center"] = torch.zeros(8, 2), torch.zeros(8, 2)
+    td["goal_center"] = torch.zeros(8, 2)
     td["goal_center"][0, 0], td["goal_center"][1, 0] = FAR, -FAR
     td["correspondence"] = torch.tensor([1, 0, -1, -1, -1, -1, -1, -1])
     agent = rule_based(real_config("model=rule_based", "perception=vision"))
