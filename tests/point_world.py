@@ -79,6 +79,7 @@ class PointWorld:
             {
                 "position": torch.from_numpy(padded[0]),
                 "goal_position": torch.from_numpy(padded[1]),
+                "correspondence": torch.where(nodes, torch.arange(n), -1),
                 "node_mask": nodes,
                 "action_mask": nodes.repeat_interleave(N_DIRECTIONS),
             }

@@ -139,8 +139,13 @@ def test_workers_end_with_a_main_process_that_is_killed(tmp_path: Path) -> None:
     main.communicate(timeout=30)  # comes back once the workers have closed their end, too
 
 
+OPTIONAL_PACKAGES = {"tensorboard", "wandb"}  # loggers that are extras of the same name
+
+
 @pytest.mark.parametrize("name", sorted(LOGGERS))
 def test_watching_passes_episodes_on_and_logs_them(name: str, tmp_path: Path) -> None:
+    if name in OPTIONAL_PACKAGES:
+        pytest.importorskip(name)
     episodes = list(evaluate(point_world(tmp_path)))
     done, rest = episodes[:1], episodes[1:]
     assert list(watch(rest, done, total=4, logger=LOGGERS[name](tmp_path))) == rest

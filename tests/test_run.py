@@ -165,9 +165,9 @@ def test_hydra_errors_in_one_sentence(overrides: list[str], told: str) -> None:
         ("n_objects=0", "n_objects is 0, but must lie between 1 and env.max_objects (8)."),
         ("n_objects=9", "n_objects is 9, but must lie between 1 and env.max_objects (8)."),
         (
-            "env.push.control_timestep=0.005",
-            "env.push.control_timestep is 0.005, but must be a multiple of env.physics.timestep "
-            "(0.004).",
+            "env.push.control_timestep=0.006",
+            "env.push.control_timestep is 0.006, but must be a multiple of env.physics.timestep "
+            "(0.005).",
         ),
         ("eval.split=new", "eval.split is 'new', but must be one of train, test."),
         ("env.split=train", "env.split is 'train' while eval.split is 'test'"),
