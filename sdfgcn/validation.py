@@ -127,6 +127,11 @@ def validate_training(config: Config) -> None:
     ):
         if at_least_one < 1:
             raise SdfgcnError(f"{key} is {at_least_one}, but must be at least 1.")
+    if not 0.0 <= train.averaging < 1.0:
+        raise SdfgcnError(
+            f"train.averaging is {train.averaging}, but must be at least 0 (the last weights) and "
+            "below 1."
+        )
     _validate_order(
         "train.epsilon_end", train.epsilon_end, "train.epsilon_start", train.epsilon_start
     )

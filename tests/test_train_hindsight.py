@@ -107,8 +107,9 @@ def test_a_push_that_moved_nothing_is_left_out() -> None:
     assert relabelled(still, still["next"], MOVED, ENV) is None
 
 
-def test_an_object_that_vanished_has_no_picture_for_a_goal() -> None:
-    gone = push(moved((0.06, 0.0)), found=[False, True, False])[None]
+@pytest.mark.parametrize("offsets", [[(0.06, 0.0)], [(0.0, 0.0), (0.0, 0.06)]])
+def test_where_an_object_vanished_no_reward_can_be_told(offsets: list[tuple[float, float]]) -> None:
+    gone = push(moved(*offsets), found=[False, True, False])[None]
     assert relabelled(gone, gone["next"], MOVED, ENV) is None
 
 

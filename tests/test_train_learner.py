@@ -135,6 +135,26 @@ def test_epsilon_falls_and_pushes_are_legal() -> None:
     assert taken.count(1) / 300 > 0.85
 
 
+def test_the_average_is_exponential() -> None:
+    held = learner(averaging=0.75)
+    seen = []
+    for _ in range(3):
+        held.update(batch(3.0, True, [0]))
+        seen.append(float(held.network.values[0].detach()))
+    assert len(set(seen)) == 3
+    wanted = 0.75 * (0.75 * seen[0] + 0.25 * seen[1]) + 0.25 * seen[2]
+    assert float(held.averaged.values[0]) == pytest.approx(wanted, abs=1e-6)
+
+
+def test_the_average_goes_on_from_a_checkpoint() -> None:
+    there, here = learner(averaging=0.75), learner(averaging=0.75)
+    there.update(batch(3.0, True, [0]))
+    here.load_state_dict(copy.deepcopy(there.state_dict()))
+    for held in (there, here):
+        held.update(batch(3.0, True, [0]))
+    assert torch.equal(there.averaged.values, here.averaged.values)
+
+
 def test_the_actors_follow_the_learner() -> None:
     held = learner()
     explorer = Explorer(held.network, 1, TRAIN, epsilon_pushes=100)

@@ -71,6 +71,7 @@ class TrainConfig:
     replay_capacity: int = MISSING
     learning_starts: int = MISSING
     target_interval: int = MISSING
+    averaging: float = MISSING
     updates_per_push: float = MISSING
     max_updates_per_push: float = MISSING
     epsilon_start: float = MISSING

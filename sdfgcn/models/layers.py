@@ -24,6 +24,10 @@ from torch.nn.functional import relu
 from sdfgcn.config import N_DIRECTIONS, lookup
 from sdfgcn.models.nodes import OccupiedNodes
 
+# In a graph of three objects with goals, a node gets a quarter of each of three neighbours and of
+# itself; these gains give the two sums a node's own size again.
+NEIGHBOURS_GAIN, OWN_GAIN = 4.0 / 3.0, 4.0
+
 # Whether the self loop has weights of its own.
 PROPAGATIONS: dict[str, bool] = {"split": True, "shared": False}
 
@@ -114,8 +118,9 @@ def initialise(network: nn.Module, generator: Generator) -> None:
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu", generator=generator)
             if module.bias is not None:
                 module.bias.zero_()
-    # The sum of two layers' outputs has twice the variance of one.
+    # The sum of two layers' outputs has twice the variance of one. And D^-1/2 (A + I) D^-1/2 makes
+    # its inputs smaller.
     for module in network.modules():
         if isinstance(module, Propagation) and module.own_weights is not None:
-            module.weights.weight.mul_(math.sqrt(0.5))  # type: ignore[operator]
-            module.own_weights.weight.mul_(math.sqrt(0.5))  # type: ignore[operator]
+            module.weights.weight.mul_(math.sqrt(0.5) * NEIGHBOURS_GAIN)  # type: ignore[operator]
+            module.own_weights.weight.mul_(math.sqrt(0.5) * OWN_GAIN)  # type: ignore[operator]

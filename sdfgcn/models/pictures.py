@@ -8,8 +8,11 @@ from torch import Tensor
 
 
 def scaled_sdf(sdf: Tensor, unit: float) -> Tensor:
-    """Signed distances in units of so many pixels; in place."""
-    return sdf.mul_(1.0 / unit)
+    """Signed distances in units of so many pixels, about zero; in place.
+
+    Far from every object they are about a unit, and inputs that are all positive learn slowly.
+    """
+    return sdf.mul_(1.0 / unit).sub_(1.0)
 
 
 def object_mask(sdf: Tensor, unit: float) -> Tensor:

@@ -78,12 +78,13 @@ def relabelled(
 
     Returns:
         [R] those that moved a detected object, with goal, reward and ends replaced; None if there
-        are none.
+        are none. Where an object vanished or came back, positions do not tell the reward: such
+        pushes are left out.
     """
     offsets = pushes["next", "position"] - pushes["position"]
     rows = (offsets.norm(dim=-1) > moved) & pushes["node_mask"] & achieved["node_mask"]
     rows &= pushes["correspondence"] >= 0
-    some = rows.any(dim=-1)
+    some = rows.any(dim=-1) & (pushes["node_mask"] == pushes["next", "node_mask"]).all(dim=-1)
     if not some.any():
         return None
     return _with_ends(_with_goals(pushes[some].clone(), achieved[some], rows[some]), env)
@@ -105,8 +106,6 @@ def _with_ends(pushes: TensorDictBase, env: EnvConfig) -> TensorDictBase:
     after = (outcome["position"] - pushes["goal_position"]).norm(dim=-1).double().numpy()
     success = (after <= env.success_threshold).all(axis=-1)
     out_of_range = outcome["out_of_range"].squeeze(-1).numpy()
-    found, left = pushes["node_mask"].numpy(), outcome["node_mask"].numpy()
-    vanished, none_left = (found & ~left).sum(axis=-1), ~left.any(axis=-1)
     rewards = [
         sum(
             reward_terms(
@@ -115,13 +114,11 @@ def _with_ends(pushes: TensorDictBase, env: EnvConfig) -> TensorDictBase:
                 after[i],
                 success=bool(success[i]),
                 out_of_range=bool(out_of_range[i]),
-                vanished=int(vanished[i]),
-                none_left=bool(none_left[i]),
             ).values()
         )
         for i in range(len(pushes))
     ]
-    terminated = success | out_of_range | none_left
+    terminated = success | out_of_range
     news = TensorDict(
         {
             "reward": torch.tensor(rewards, dtype=torch.float32).unsqueeze(-1),

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.data import Categorical
 from torchrl.modules import EGreedyModule, QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
@@ -62,6 +63,10 @@ class Learner:
             self._loss, value_network_update_interval=train.target_interval - 1
         )
         self._optimiser = torch.optim.Adam(self._loss.parameters(), lr=train.learning_rate)
+        # Single updates change what a greedy policy does; their average is steadier.
+        self._average = AveragedModel(
+            self.network, multi_avg_fn=get_ema_multi_avg_fn(train.averaging)
+        )
         self.updates = 0
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
@@ -77,8 +82,14 @@ class Learner:
         torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self._train.max_gradient_norm)
         self._optimiser.step()
         self._target.step()
+        self._average.update_parameters(self.network)
         self.updates += 1
         return {"loss": float(loss.detach())}
+
+    @property
+    def averaged(self) -> TensorDictModuleBase:
+        """The network with the weights' exponential moving average over updates."""
+        return self._average.module
 
     def choose_precision(self, wanted: str, batch: TensorDictBase) -> str:
         """Set the precision; `auto` times both on copies of this learner and takes the faster.
@@ -113,9 +124,10 @@ class Learner:
             return self._loss(batch)["loss"]
 
     def state_dict(self) -> dict[str, Any]:
-        """Network, target network, optimiser and counters, for a checkpoint."""
+        """Network, its average, target network, optimiser and counters, for a checkpoint."""
         return {
             "loss": self._loss.state_dict(),
+            "average": self._average.state_dict(),
             "optimiser": self._optimiser.state_dict(),
             "updates": self.updates,
             "precision": self.precision,
@@ -124,6 +136,7 @@ class Learner:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from what a checkpoint kept."""
         self._loss.load_state_dict(state["loss"])
+        self._average.load_state_dict(state["average"])
         self._optimiser.load_state_dict(state["optimiser"])
         self.updates = int(state["updates"])
         self.precision = state["precision"]

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import torch
 
@@ -51,7 +51,7 @@ def train(config: Config, folder: Path, logger: Logger, build_network: BuildNetw
         build_network: Makes the network before its first update.
 
     Returns:
-        The trained network, on the CPU.
+        The trained network, with the average of its weights over the last updates, on the CPU.
 
     Raises:
         SdfgcnError: The checkpoint is damaged or of another experiment, or the device is missing.
@@ -64,7 +64,7 @@ def train(config: Config, folder: Path, logger: Logger, build_network: BuildNetw
         try:
             with closing(Training(config, folder, logger, build_network)) as training:
                 training.run()
-                return training.network.cpu()
+                return training.averaged
         finally:
             torch.set_num_threads(threads)
 
@@ -136,6 +136,11 @@ class Training:
             if time.monotonic() - self._saved > 60.0 * self._config.train.checkpoint_minutes:
                 self._save()
         self._save()
+
+    @property
+    def averaged(self) -> QNetwork:
+        """The network with the average of its weights over the last updates, on the CPU."""
+        return cast(QNetwork, self._learner.averaged.cpu())
 
     def close(self) -> None:
         """End the actors and the live line."""
