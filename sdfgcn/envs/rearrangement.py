@@ -265,7 +265,11 @@ class RearrangementEnv(EnvBase):
         command = PushCommand(start=np.full(2, np.nan), direction=direction, free=0.0)
         if row < len(self._found) and self._found[row]:
             command = self._plan.command(int(self._found[:row].sum()), direction)
-        self._environment.step(np.array([*command.start, command.direction, command.free]))
+        # Not environment.step(): its own step after the push would be taken back again.
+        physics, random_state = self._environment.physics, self._environment.random_state
+        action = np.array([*command.start, command.direction, command.free])
+        self._task.before_step(physics, action, random_state)
+        self._task.after_step(physics, random_state)
         return replace(self._task.last_push, object=row)
 
     def _observation(self, success: bool = False, out_of_range: bool = False) -> TensorDict:

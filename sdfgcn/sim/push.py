@@ -47,8 +47,9 @@ class PushPrimitive:
         """Push, and leave the robot at home; props may still be moving.
 
         The robot crosses the free space above the props in one jump: nothing there can be
-        touched, so simulating it would only cost time. Descent, push and lift are simulated.
-        A descent that would touch anything is given up, and nothing moves.
+        touched, so simulating it would only cost time. Descent, push and lift are simulated; a
+        robot that jumps is driven down the last knot alone. A descent that would touch anything
+        is given up, and nothing moves.
 
         Args:
             physics: Stepped in place.
@@ -77,8 +78,9 @@ class PushPrimitive:
         if not self._free(physics, descent):
             self._robot.place(physics, self._robot.home)
             return "blocked", start, start
-        self._robot.place(physics, q_above)
-        self._follow(physics, descent, config.descent_speed)
+        begin = max(0.0, descent.length - config.knot) if self._robot.jumps else 0.0
+        self._robot.place(physics, descent.at(begin)[1])
+        self._follow(physics, descent, config.descent_speed, origin=begin)
         reached, touched = self._push(physics, push, command.free + config.length)
         self._lift(physics, yaw, push, reached)
         return ("done" if touched else "no_contact"), start, push.at(reached)[0]

@@ -59,6 +59,11 @@ class FloatingGripper(Robot):
         return np.array(self._config.home)
 
     @property
+    def jumps(self) -> bool:
+        """It does: where it touches nothing, simulating it would only cost time."""
+        return True
+
+    @property
     def lead(self) -> NDArray:
         """[4] seconds."""
         return np.full(4, self._config.lead)

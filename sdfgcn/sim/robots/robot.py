@@ -58,6 +58,11 @@ class Robot(composer.Entity, abc.ABC):
 
     @property
     @abc.abstractmethod
+    def jumps(self) -> bool:
+        """Whether it comes down in a jump where its way is known to be free, and is not driven."""
+
+    @property
+    @abc.abstractmethod
     def lead(self) -> NDArray:
         """Damping over stiffness of each drive, seconds: scales the velocity feed-forward."""
 

@@ -48,6 +48,11 @@ class UR5e(Robot):
         return np.array(self._config.home)
 
     @property
+    def jumps(self) -> bool:
+        """It does not."""
+        return False
+
+    @property
     def lead(self) -> NDArray:
         """[6] seconds."""
         return np.full(6, self._config.lead)
