@@ -17,6 +17,7 @@ from toys import TOYS
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.loggers import NoLogger
+from sdfgcn.models.q_network import QNetwork
 
 SMALL = (
     *("objects=household", "robot=gripper", "model=sdfgcn", "n_objects=2", "train.split=test"),
@@ -35,7 +36,11 @@ def train_in_child(overrides: tuple[str, ...], folder: Path) -> None:
 
     os.environ.setdefault("MUJOCO_GL", "egl")
     rearrangement.load_catalogue = lambda config, split: TOYS  # a small world is built quickly
-    network = train(real_config(*overrides), folder, NoLogger(folder), small_network)
+
+    def keep(network: QNetwork) -> None:
+        torch.save(network.state_dict(), folder / "kept.pt")
+
+    network = train(real_config(*overrides), folder, NoLogger(folder), small_network, keep)
     torch.save(network.state_dict(), folder / "network.pt")
 
 
@@ -89,8 +94,13 @@ def test_killed_three_times_it_ends_as_if_nothing_had_happened(
     there, here = (torch.load(folder / "network.pt") for folder in (whole, tmp_path))
     assert all(torch.equal(there[key], here[key]) for key in there)
     assert {path.name for path in tmp_path.iterdir()} == {
-        *("checkpoint.zip", "network.pt", "train.csv"),
+        *("checkpoint.zip", "kept.pt", "network.pt", "train.csv"),
     }
+
+
+def test_the_network_is_kept_with_each_checkpoint(whole: Path) -> None:
+    there, here = (torch.load(whole / name) for name in ("network.pt", "kept.pt"))
+    assert all(torch.equal(there[key], here[key]) for key in there)
 
 
 def test_what_train_csv_says(whole: Path) -> None:

@@ -88,8 +88,8 @@ class Learner:
 
     @property
     def averaged(self) -> TensorDictModuleBase:
-        """The network with the weights' exponential moving average over updates."""
-        return self._average.module
+        """The network with the weights' exponential moving average over updates; a CPU copy."""
+        return copy.deepcopy(self._average.module).cpu()
 
     def choose_precision(self, wanted: str, batch: TensorDictBase) -> str:
         """Set the precision; `auto` times both on copies of this learner and takes the faster.

@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -30,6 +31,8 @@ from sdfgcn.train.replay import build_replay, transitions
 
 # Builds a network from the whole config and the number of slots that it is trained with.
 BuildNetwork = Callable[[Config, int], QNetwork]
+# Takes the network, on the CPU, whenever there is a new checkpoint.
+KeepNetwork = Callable[[QNetwork], None]
 
 # Parts of the config that change what is learned; the rest may differ when a training goes on.
 _LEARNING = ("seed", "n_objects", "env", "model", "train", "curriculum", "her", "augment")
@@ -39,7 +42,13 @@ _FREE = {
 }
 
 
-def train(config: Config, folder: Path, logger: Logger, build_network: BuildNetwork) -> QNetwork:
+def train(
+    config: Config,
+    folder: Path,
+    logger: Logger,
+    build_network: BuildNetwork,
+    keep_network: KeepNetwork = lambda network: None,
+) -> QNetwork:
     """Train a Q-network; where the folder holds a checkpoint, go on from it.
 
     Torch's own random state is left as it was.
@@ -49,6 +58,7 @@ def train(config: Config, folder: Path, logger: Logger, build_network: BuildNetw
         folder: The run folder; gets `train.csv` and the checkpoint.
         logger: Takes running figures.
         build_network: Makes the network before its first update.
+        keep_network: Takes the network, as it is returned, with each checkpoint.
 
     Returns:
         The trained network, with the average of its weights over the last updates, on the CPU.
@@ -62,7 +72,7 @@ def train(config: Config, folder: Path, logger: Logger, build_network: BuildNetw
         torch.set_num_threads(config.runtime.torch_threads)
         torch.manual_seed(config.seed)
         try:
-            with closing(Training(config, folder, logger, build_network)) as training:
+            with closing(Training(config, folder, logger, build_network, keep_network)) as training:
                 training.run()
                 return training.averaged
         finally:
@@ -71,6 +81,9 @@ def train(config: Config, folder: Path, logger: Logger, build_network: BuildNetw
 
 def train_policy(config: Config, folder: Path, policy: Path, logger: Logger) -> None:
     """Train the Q-network that the config names, and write it as a policy.
+
+    The policy is there from the first checkpoint on; until the training has ended, its `budget`
+    is null.
 
     Args:
         config: The whole experiment.
@@ -82,14 +95,15 @@ def train_policy(config: Config, folder: Path, policy: Path, logger: Logger) -> 
         SdfgcnError: See `train`.
     """
     load_catalogue(config.env.objects, config.train.split)  # before actors would each do it
-    network = train(config, folder, logger, q_network)
     slots = training_slots(config, Counts(config.curriculum, config.n_objects))
-    about = {
-        "budget": asdict(config.budget),
-        "seed": config.seed,
-        "training": learning_config(config),
-    }
-    save_policy(policy, network, config.model, slots, config.env.arena.image_size, about)
+    about = {"seed": config.seed, "training": learning_config(config)}
+
+    def keep(network: QNetwork, budget: dict[str, Any] | None) -> None:
+        told = {"budget": budget, **about}
+        save_policy(policy, network, config.model, slots, config.env.arena.image_size, told)
+
+    network = train(config, folder, logger, q_network, partial(keep, budget=None))
+    keep(network, asdict(config.budget))
 
 
 def q_network(config: Config, max_objects: int) -> QNetwork:
@@ -101,11 +115,17 @@ class Training:
     """Everything that one training holds."""
 
     def __init__(
-        self, config: Config, folder: Path, logger: Logger, build_network: BuildNetwork
+        self,
+        config: Config,
+        folder: Path,
+        logger: Logger,
+        build_network: BuildNetwork,
+        keep_network: KeepNetwork,
     ) -> None:
         """Build all parts, and load the checkpoint if there is one; see `train`."""
         self._config = config
         self._checkpoint = folder / NAME
+        self._keep_network = keep_network
         counts = Counts(config.curriculum, config.n_objects)
         slots = training_slots(config, counts)
         env = training_env(config, counts, slots)
@@ -140,7 +160,7 @@ class Training:
     @property
     def averaged(self) -> QNetwork:
         """The network with the average of its weights over the last updates, on the CPU."""
-        return cast(QNetwork, self._learner.averaged.cpu())
+        return cast(QNetwork, self._learner.averaged)
 
     def close(self) -> None:
         """End the actors and the live line."""
@@ -208,6 +228,7 @@ class Training:
         self._kept.clear()
         self._kept.update(self._actors.state())
         save_checkpoint(self._checkpoint, self._parts(), learning_config(self._config))
+        self._keep_network(self.averaged)
         self._saved = time.monotonic()
 
     def _load(self) -> None:
