@@ -53,11 +53,10 @@ class VisionPerception(Perception):
         return masks, correspondence
 
     def _find(self, pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """[m, H, W] the largest masks first, no more than there are rows, none too small."""
+        """[m, H, W] the largest masks first, no more than there are rows."""
         masks = self._segment(pixels)
-        size = masks.sum(axis=(1, 2))
-        largest = np.argsort(-size, kind="stable")[: self.max_objects]
-        return masks[largest[size[largest] >= self.config.min_pixels]]
+        largest = np.argsort(-masks.sum(axis=(1, 2)), kind="stable")
+        return masks[largest[: self.max_objects]]
 
 
 def rows_of(matches: NDArray[np.int64], n: int) -> NDArray[np.int64]:

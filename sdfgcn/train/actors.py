@@ -8,7 +8,7 @@ import signal
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -96,24 +96,38 @@ class Actors(Protocol):
         """End them."""
 
 
+@dataclass(frozen=True)
+class ActorsPlan:
+    """What actors are made of.
+
+    Attributes:
+        config: The whole experiment.
+        env: The training env's part of it.
+        counts: Draws the number of objects.
+        policy: Sets `action`; on the CPU.
+        pushes: Pushes so far; actors of a later start draw other episodes.
+        state: What `Actors.state` returned.
+    """
+
+    config: Config
+    env: EnvConfig
+    counts: Counts
+    policy: TensorDictModuleBase
+    pushes: int = 0
+    state: Mapping[str, Any] = field(default_factory=dict)
+
+
 class SyncActors:
     """One env in this process."""
 
-    def __init__(
-        self,
-        config: Config,
-        env: EnvConfig,
-        counts: Counts,
-        policy: TensorDictModuleBase,
-        pushes: int,
-        state: Mapping[str, Any],
-    ) -> None:
-        """Build the env; see `build_actors`."""
-        self._env = TrainingEnv(env, counts, _seed(config.seed, 0, 0), state.get("env"))
+    def __init__(self, plan: ActorsPlan) -> None:
+        """Build the env."""
+        seed = _seed(plan.config.seed, 0, 0)
+        self._env = TrainingEnv(plan.env, plan.counts, seed, plan.state.get("env"))
         self._collector = Collector(
             self._env,
-            policy,
-            frames_per_batch=config.collector.pushes_per_batch,
+            plan.policy,
+            frames_per_batch=plan.config.collector.pushes_per_batch,
             total_frames=-1,
             auto_register_policy_transforms=False,  # it would add one for recurrent policies
         )
@@ -138,23 +152,18 @@ class SyncActors:
 class AsyncActors:
     """Envs in processes of their own, which push while this one learns."""
 
-    def __init__(
-        self,
-        config: Config,
-        env: EnvConfig,
-        counts: Counts,
-        policy: TensorDictModuleBase,
-        pushes: int,
-        state: Mapping[str, Any],
-    ) -> None:
-        """Start the processes; see `build_actors`."""
+    def __init__(self, plan: ActorsPlan) -> None:
+        """Start the processes."""
+        config = plan.config
         workers = max(config.collector.workers, 1)
-        seeds = [_seed(config.seed, worker, pushes) for worker in range(workers)]
+        seeds = [_seed(config.seed, worker, plan.pushes) for worker in range(workers)]
         self._collector = MultiAsyncCollector(
             [_env_in_worker] * workers,
-            policy,
+            plan.policy,
             # Not bound to the function: TorchRL would copy what of `counts` is shared.
-            create_env_kwargs=[{"config": env, "counts": counts, "seed": seed} for seed in seeds],
+            create_env_kwargs=[
+                {"config": plan.env, "counts": plan.counts, "seed": seed} for seed in seeds
+            ],
             frames_per_batch=config.collector.pushes_per_batch,
             total_frames=-1,
             num_threads=torch.get_num_threads(),
@@ -193,26 +202,9 @@ class AsyncActors:
         self._collector.shutdown()
 
 
-def build_actors(
-    config: Config,
-    env: EnvConfig,
-    counts: Counts,
-    policy: TensorDictModuleBase,
-    pushes: int = 0,
-    state: Mapping[str, Any] | None = None,
-) -> Actors:
-    """Start those who push.
-
-    Args:
-        config: The whole experiment.
-        env: The training env's part of it.
-        counts: Draws the number of objects.
-        policy: Sets `action`; on the CPU.
-        pushes: Pushes so far; actors of a later start draw other episodes.
-        state: What `Actors.state` returned.
-    """
-    kind = SyncActors if config.collector.name == "sync" else AsyncActors
-    return kind(config, env, counts, policy, pushes, state or {})
+def build_actors(plan: ActorsPlan) -> Actors:
+    """Start those who push."""
+    return (SyncActors if plan.config.collector.name == "sync" else AsyncActors)(plan)
 
 
 def training_env(config: Config, counts: Counts, max_objects: int) -> EnvConfig:

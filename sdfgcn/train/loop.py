@@ -21,7 +21,7 @@ from sdfgcn.models import Q_NETWORKS, build_q_network
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.models.sdf_cnn import SdfCnn
 from sdfgcn.objects.catalogue import load_catalogue
-from sdfgcn.train.actors import Actors, build_actors, training_env
+from sdfgcn.train.actors import Actors, ActorsPlan, build_actors, training_env
 from sdfgcn.train.checkpoint import NAME, checkpoint_config, load_checkpoint, save_checkpoint
 from sdfgcn.train.curriculum import Counts, Curriculum
 from sdfgcn.train.hindsight import Hindsight
@@ -142,7 +142,14 @@ class Training:
         self._load()
         with torch.random.fork_rng():  # else a training that goes on would draw other numbers
             self._actors: Actors = build_actors(
-                config, env, counts, self._explorer.policy, self._progress.pushes, dict(self._kept)
+                ActorsPlan(
+                    config,
+                    env,
+                    counts,
+                    self._explorer.policy,
+                    self._progress.pushes,
+                    dict(self._kept),
+                )
             )
         self._saved = time.monotonic()
 
