@@ -1,0 +1,69 @@
+"""How fast does a training go? Pushes and updates a second by who pushes and how many.
+
+    python experiments/benchmark_training.py              sync; async with 1, 2 and 3 workers
+    python experiments/benchmark_training.py seconds=120 model=sdf_cnn
+
+Trains anew in each case and writes `results/benchmark_training.json`. Rates are by the wall clock,
+from the first update on, so run it on a quiet machine; each row tells how many updates a push got,
+since actors and learner wait for each other where one is far ahead
+(`train.updates_per_push`, `train.max_updates_per_push`).
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+
+os.environ.setdefault("MUJOCO_GL", "egl")
+os.environ.setdefault("LP_NUM_THREADS", "0")  # software OpenGL: render in this thread
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from common import load, parse, provenance, save
+from learning_curve import read
+
+from sdfgcn.loggers import NoLogger
+from sdfgcn.train.loop import q_network, train
+
+CASES: tuple[tuple[str, int], ...] = (("sync", 0), ("async", 1), ("async", 2), ("async", 3))
+LOG_PUSHES = 100  # pushes between two looks at the clock
+
+
+def measure(overrides: list[str], collector: str, workers: int, seconds: int) -> dict[str, Any]:
+    """Train for so many seconds; the rates of the time in which there were updates."""
+    config = load(
+        [
+            *("model=sdfgcn", f"collector={collector}", f"collector.workers={workers}"),
+            *(f"budget.minutes={seconds / 60}", f"train.log_pushes={LOG_PUSHES}", *overrides),
+        ]
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        train(config, Path(folder), NoLogger(Path(folder)), q_network)
+        rows = [row for row in read(Path(folder)) if row["updates"] > 0]
+    first, last = rows[0], rows[-1]
+    took = last["seconds"] - first["seconds"]
+    pushes, updates = (last[key] - first[key] for key in ("pushes", "updates"))
+    return {
+        "model": config.model.name,
+        "collector": collector,
+        "workers": workers,
+        "seconds": took,
+        "pushes_per_s": pushes / took,
+        "updates_per_s": updates / took,
+        "updates_per_push": updates / pushes,
+    }
+
+
+def main() -> None:
+    own, overrides = parse(sys.argv[1:], {"seconds": 90})
+    rows = [measure(overrides, *case, own["seconds"]) for case in CASES]
+    machine = {"cores": os.cpu_count(), "load_average": os.getloadavg()[0]}
+    save("benchmark_training", {"machine": machine, **provenance(), "rows": rows})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,134 @@
+"""How a training went: its curve as a picture and as a table of few rows.
+
+    python experiments/learning_curve.py sdfgcn outputs/2026-01-31/14-00-00
+    python experiments/learning_curve.py sdfgcn FOLDER --readme README.md --rows 12
+
+Takes the `train.csv` of a run folder and writes it as `results/<name>_curve.csv`, with a table of
+rows evenly spaced in time (`.md`) and a picture (`.png`; needs `pip install -e '.[notebooks]'`).
+With `--readme`, the table also goes between the lines `<!-- results:<name>_curve -->` and
+`<!-- /results -->` of that file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import sys
+from pathlib import Path
+
+from common import RESULTS
+from table import filled
+
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import write_text
+
+Row = dict[str, float]
+
+NOTE = (
+    "Success and out of range: the last 100 training episodes at that time, pushes random with "
+    "probability epsilon. Loss: the mean of the last 100 updates."
+)
+
+
+def read(folder: Path) -> list[Row]:
+    """The rows of a run folder's `train.csv`.
+
+    Raises:
+        SdfgcnError: It has none, or it is damaged.
+    """
+    file = folder / "train.csv"
+    try:
+        with file.open(encoding="utf-8", newline="") as lines:
+            rows = [
+                {key: float(value) for key, value in row.items()} for row in csv.DictReader(lines)
+            ]
+    except (OSError, TypeError, ValueError) as error:
+        raise SdfgcnError(f"{file} cannot be read ({error}); give a training's folder.") from error
+    if not rows:
+        raise SdfgcnError(f"{file} has no rows yet; wait for `train.log_pushes` pushes.")
+    return rows
+
+
+def spaced(rows: list[Row], count: int) -> list[Row]:
+    """At most `count` rows, the nearest to times that divide the training evenly; last one in."""
+    times = [rows[-1]["seconds"] * (i + 1) / count for i in range(count)]
+    nearest = {min(range(len(rows)), key=lambda k: abs(rows[k]["seconds"] - t)) for t in times}
+    return [rows[k] for k in sorted(nearest)]
+
+
+def markdown(rows: list[Row]) -> str:
+    """The rows as a Markdown table."""
+    heads = (
+        *("minutes", "pushes", "updates", "epsilon", "success", "out of range"),
+        *("pushes an episode", "loss"),
+    )
+    lines = [f"| {' | '.join(heads)} |", f"|{' --- |' * len(heads)}"]
+    for row in rows:
+        cells = (
+            *(f"{row['seconds'] / 60:.0f}", f"{row['pushes']:.0f}", f"{row['updates']:.0f}"),
+            *(f"{row['epsilon']:.2f}", f"{row['success_rate']:.0%}"),
+            *(f"{row['out_of_range_rate']:.0%}", f"{row['episode_pushes']:.0f}"),
+            f"{row['loss']:.2f}",
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join([*lines, "", NOTE]) + "\n"
+
+
+def draw(rows: list[Row], file: Path) -> None:
+    """Write the whole curve as a picture.
+
+    Raises:
+        SdfgcnError: Matplotlib is not installed.
+    """
+    try:
+        from matplotlib.figure import Figure
+    except ImportError as error:
+        raise SdfgcnError(
+            "Matplotlib is not installed, and draws the curve; use pip install -e '.[notebooks]'."
+        ) from error
+    figure = Figure(figsize=(7.0, 3.2), layout="constrained")
+    axes = figure.subplots(1, 2)
+    minutes = [row["seconds"] / 60 for row in rows]
+    for key, label in (
+        *(("success_rate", "success"), ("out_of_range_rate", "out of range")),
+        ("epsilon", "epsilon"),
+    ):
+        axes[0].plot(minutes, [row[key] for row in rows], label=label)
+    axes[0].set(xlabel="minutes", ylabel="share", ylim=(0, 1))
+    axes[0].legend()
+    axes[1].plot(minutes, [row["loss"] for row in rows], label="loss")
+    axes[1].set(xlabel="minutes", ylabel="loss", ylim=(0, None))
+    figure.savefig(file, dpi=100)
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description="How a training went.")
+    parser.add_argument("name", help="the files' name, such as sdfgcn")
+    parser.add_argument("folder", type=Path, help="the training's run folder")
+    parser.add_argument("--rows", type=int, default=10, help="of the table")
+    parser.add_argument("--readme", type=Path, help="a file with marker lines to fill as well")
+    parser.add_argument("--results", type=Path, default=RESULTS, help="where the files go")
+    given = parser.parse_args(arguments)
+    name = f"{given.name}_curve"
+    try:
+        rows = read(given.folder)
+        table = markdown(spaced(rows, given.rows))
+        if given.readme:
+            text = given.readme.read_text(encoding="utf-8")
+            readme = filled(text, name, table, given.readme)
+        given.results.mkdir(parents=True, exist_ok=True)
+        draw(rows, given.results / f"{name}.png")
+        source = (given.folder / "train.csv").read_text(encoding="utf-8")
+        write_text(given.results / f"{name}.csv", source)
+        write_text(given.results / f"{name}.md", table)
+        if given.readme:
+            write_text(given.readme, readme)
+    except (SdfgcnError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    print(table, end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
