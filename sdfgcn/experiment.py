@@ -59,10 +59,13 @@ def with_policy(config: Config, folder: RunFolder, logger: Logger) -> Config:
     Raises:
         SdfgcnError: The checkpoint given is no policy; or see `sdfgcn.train.loop.train`.
     """
-    from sdfgcn.agents.policy import find_policy  # loads torch
+    from sdfgcn.agents.policy import RELEASED, find_policy  # loads torch
 
     if config.checkpoint is not None:
-        return replace(config, checkpoint=str(find_policy(config.checkpoint)))
+        found = find_policy(config.checkpoint)
+        if found.parent == RELEASED:  # its name says more than where it is installed
+            return config
+        return replace(config, checkpoint=str(found))
     policy = folder.path / "policy"
     about = policy / "policy.json"
     budget = asdict(config.budget)

@@ -50,7 +50,9 @@ def test_t_interval_by_hand() -> None:
 
 
 def test_pushes_and_error_are_means_over_successes() -> None:
-    config = real_config("n_objects=2", "objects=household", "robot=gripper", "seed=7")
+    config = real_config(
+        *("model=rule_based", "n_objects=2", "objects=household", "robot=gripper", "seed=7"),
+    )
     episodes = [
         episode(0, pushes=10, error_mm=20.0),
         episode(1, pushes=20, error_mm=40.0),
@@ -151,7 +153,8 @@ def test_a_trained_network_stands_beside_its_method(model: str, tmp_path: Path) 
 
 
 def test_table_stands_beside_the_paper() -> None:
-    results = summarise(real_config(), [episode(0), episode(1, error_mm=30.0)], wall_s=1.0)
+    rule_based = real_config("model=rule_based")
+    results = summarise(rule_based, [episode(0), episode(1, error_mm=30.0)], wall_s=1.0)
     title, head, ours, paper, _ = table(results).splitlines()
     assert "3 scanned objects (test)" in title
     assert head.index("success rate") == ours.index("100% [34, 100]") == paper.index("69%")

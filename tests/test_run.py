@@ -22,7 +22,11 @@ from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
 from sdfgcn.runs import RunFolder
 
 ROOT = Path(__file__).parents[1]
-SMALL = ("objects=household", "robot=gripper", "n_objects=2", "env.pushes_per_object=2")
+# What is tested here does not depend on the model; the rule's is the quickest to load.
+SMALL = (
+    *("model=rule_based", "objects=household", "robot=gripper", "n_objects=2"),
+    "env.pushes_per_object=2",
+)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -93,6 +97,19 @@ def test_a_run_leaves_its_results(sweep: tuple[Path, str], job: str) -> None:
     results = json.loads((folder / "results.json").read_text())
     assert (results["episodes"], results["objects"], results["n_objects"]) == (3, "household", 2)
     assert results["success_rate"] == sum(row["success"] == "True" for row in rows(folder)) / 3
+
+
+def test_the_default_evaluates_released_weights(tmp_path: Path) -> None:
+    shrunk = ("objects=household", "env.pushes_per_object=2", "eval.episodes=1")
+    done = run(*shrunk, "runtime.workers=0", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    assert "sdfgcn (this run)" in done.stdout
+    assert not (tmp_path / "train.csv").exists()
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert (results["model"], results["checkpoint"], results["robot"]) == (
+        *("sdfgcn", "sdfgcn", "ur5e"),
+    )
+    assert [path.name for path in (tmp_path / "recordings").iterdir()] == ["episode_000.rrd"]
 
 
 def test_results_do_not_depend_on_workers(sweep: tuple[Path, str]) -> None:
