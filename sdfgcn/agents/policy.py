@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 from omegaconf import OmegaConf
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file, save
 
 from sdfgcn.agents.q_agent import QAgent
 from sdfgcn.config import MODEL_CONFIGS, ModelConfig, lookup
@@ -50,7 +50,8 @@ def save_policy(
     folder.mkdir(parents=True, exist_ok=True)
     (folder / ABOUT).unlink(missing_ok=True)
     part = folder / f".{WEIGHTS}.part"
-    save_file({name: value.contiguous() for name, value in network.state_dict().items()}, part)
+    weights = {name: value.contiguous() for name, value in network.state_dict().items()}
+    part.write_bytes(save(weights))  # save_file would let nobody else read it
     part.replace(folder / WEIGHTS)
     kind = {"model": asdict(model), "max_objects": max_objects, "image_size": image_size}
     write_json(folder / ABOUT, {**kind, **about})
@@ -94,7 +95,7 @@ def load_network(checkpoint: str | Path) -> tuple[QNetwork, dict[str, Any]]:
 def load_policy(
     checkpoint: str | Path,
     epsilon: float = 0.0,
-    loop_distance: float | None = 0.005,
+    loop_distance: float | None = 0.02,
     seed: int = 0,
 ) -> QAgent:
     """A trained policy, ready to be called with observations; needs no Hydra.
