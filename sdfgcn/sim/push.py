@@ -196,7 +196,7 @@ class _Path:
         self._origin, self._target = origin, target
         count = max(1, int(np.ceil(self.length / knot)))
         share = np.arange(count + 1) / count
-        self._knots = self.length * share
+        self._spacing = self.length / count
         poses = np.full((count + 1, 4), yaw)
         poses[:, :3] = origin + (target - origin) * share[:, None]
         joints = [q_origin]
@@ -206,10 +206,10 @@ class _Path:
 
     def joints_at(self, travelled: NDArray) -> NDArray:
         """[T, drives] joint positions at [T] metres along the path."""
-        joints = np.empty((len(travelled), self.joints.shape[1]))
-        for i, knots in enumerate(self.joints.T):
-            joints[:, i] = np.interp(travelled, self._knots, knots)
-        return joints
+        place = np.clip(travelled / max(self._spacing, 1e-9), 0.0, len(self.joints) - 1.0)
+        before = np.minimum(place.astype(int), len(self.joints) - 2)
+        here, there = self.joints[before], self.joints[before + 1]
+        return here + (there - here) * (place - before)[:, None]
 
     def at(self, travelled: float) -> tuple[NDArray, NDArray]:
         """Tool position [3] and joint positions, `travelled` metres along the path."""
