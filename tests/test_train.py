@@ -25,6 +25,7 @@ SMALL = (
     *("budget.minutes=null", "budget.epsilon_pushes=35", "train.learning_starts=10"),
     *("train.updates_per_push=0.5", "train.target_interval=7", "train.log_pushes=10"),
     *("train.batch_size=8", "train.replay_capacity=30", "train.checkpoint_minutes=0"),
+    "runtime.precision=float32",  # auto goes by times, and another precision gives other numbers
 )
 STEADY = ("pushes", "updates", "episodes", "success_rate", "return", "loss", "epsilon")
 
