@@ -143,7 +143,7 @@ def test_the_average_is_exponential() -> None:
         seen.append(float(held.network.values[0].detach()))
     assert len(set(seen)) == 3
     wanted = 0.75 * (0.75 * seen[0] + 0.25 * seen[1]) + 0.25 * seen[2]
-    assert float(held.averaged.values[0]) == pytest.approx(wanted, abs=1e-6)
+    assert float(held.averaged.values[0].detach()) == pytest.approx(wanted, abs=1e-6)
 
 
 def test_the_average_goes_on_from_a_checkpoint() -> None:
