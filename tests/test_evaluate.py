@@ -23,7 +23,8 @@ from sdfgcn.viz import RECORDERS
 
 
 def config(*overrides: str) -> Config:
-    return real_config("runtime.workers=0", "viz.episodes=0", "eval.episodes=4", *overrides)
+    own = ("model=rule_based", "runtime.workers=0", "viz.episodes=0", "eval.episodes=4")
+    return real_config(*own, *overrides)
 
 
 def point_world(tmp_path: Path, *overrides: str) -> Evaluation:
