@@ -44,6 +44,11 @@ def measure(overrides: list[str], collector: str, workers: int, seconds: int) ->
     with tempfile.TemporaryDirectory() as folder:
         train(config, Path(folder), NoLogger(Path(folder)), q_network)
         rows = [row for row in read(Path(folder)) if row["updates"] > 0]
+    if len(rows) < 2:
+        raise SystemExit(
+            f"seconds={seconds} is too short: {len(rows)} looks at the clock after the first "
+            "update; twice the time would do."
+        )
     first, last = rows[0], rows[-1]
     took = last["seconds"] - first["seconds"]
     pushes, updates = (last[key] - first[key] for key in ("pushes", "updates"))
