@@ -14,10 +14,10 @@ from __future__ import annotations
 import argparse
 import csv
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from common import RESULTS
-from table import filled
+from table import arguments_of, publish
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import write_text
@@ -101,33 +101,25 @@ def draw(rows: list[Row], file: Path) -> None:
     figure.savefig(file, dpi=100)
 
 
-def main(arguments: list[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="How a training went.")
     parser.add_argument("name", help="the files' name, such as sdfgcn")
     parser.add_argument("folder", type=Path, help="the training's run folder")
     parser.add_argument("--rows", type=int, default=10, help="of the table")
-    parser.add_argument("--readme", type=Path, help="a file with marker lines to fill as well")
-    parser.add_argument("--results", type=Path, default=RESULTS, help="where the files go")
-    given = parser.parse_args(arguments)
+    given = arguments_of(parser, arguments)
     name = f"{given.name}_curve"
-    try:
+
+    def make() -> tuple[str, Callable[[Path], None]]:
         rows = read(given.folder)
-        table = markdown(spaced(rows, given.rows))
-        if given.readme:
-            text = given.readme.read_text(encoding="utf-8")
-            readme = filled(text, name, table, given.readme)
-        given.results.mkdir(parents=True, exist_ok=True)
-        draw(rows, given.results / f"{name}.png")
-        source = (given.folder / "train.csv").read_text(encoding="utf-8")
-        write_text(given.results / f"{name}.csv", source)
-        write_text(given.results / f"{name}.md", table)
-        if given.readme:
-            write_text(given.readme, readme)
-    except (SdfgcnError, OSError) as error:
-        print(error, file=sys.stderr)
-        return 1
-    print(table, end="")
-    return 0
+
+        def write_others(folder: Path) -> None:
+            draw(rows, folder / f"{name}.png")
+            source = (given.folder / "train.csv").read_text(encoding="utf-8")
+            write_text(folder / f"{name}.csv", source)
+
+        return markdown(spaced(rows, given.rows)), write_others
+
+    return publish(given, name, make)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ import argparse
 import json
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -179,30 +179,40 @@ def _commit(git: dict[str, Any] | None) -> str:
     return git["commit"][:10] + (" with uncommitted changes" if git["dirty"] else "")
 
 
-def _arguments(arguments: Sequence[str] | None) -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description="A table of finished runs beside the paper's.")
-    parser.add_argument("name", help="the files' name, such as rule_based")
-    parser.add_argument("folders", nargs="+", type=Path, help="run folders, or a sweep's folder")
+def arguments_of(
+    parser: argparse.ArgumentParser, given: Sequence[str] | None
+) -> argparse.Namespace:
+    """Parse the command line of a table: a name, the parser's own arguments, where files go."""
     parser.add_argument("--readme", type=Path, help="a file with marker lines to fill as well")
     parser.add_argument("--results", type=Path, default=RESULTS, help="where the files go")
-    given = parser.parse_args(arguments)
-    if not re.fullmatch(r"\w[\w.-]*", given.name):
-        parser.error(f"NAME is '{given.name}', but must be a file name without folders.")
-    return given
+    parsed = parser.parse_args(given)
+    if not re.fullmatch(r"\w[\w.-]*", parsed.name):
+        parser.error(f"NAME is '{parsed.name}', but must be a file name without folders.")
+    return parsed
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    given = _arguments(arguments)
+def publish(
+    given: argparse.Namespace, name: str, make: Callable[[], tuple[str, Callable[[Path], None]]]
+) -> int:
+    """Write `<name>.md`, its companions and the README's copy, print the table; all or none.
+
+    Args:
+        given: What `arguments_of` returned.
+        name: Of the files and of the README's marker.
+        make: Returns the table, and what writes the other files into a folder.
+
+    Returns:
+        The exit code: 1 where something was wrong, said in a sentence on stderr.
+    """
     try:
-        rows = collect(given.folders)
-        table = markdown(rows)
+        table, write_others = make()
         readme = None
         if given.readme:  # before anything is written
             text = given.readme.read_text(encoding="utf-8")
-            readme = filled(text, given.name, table, given.readme)
+            readme = filled(text, name, table, given.readme)
         given.results.mkdir(parents=True, exist_ok=True)
-        write_json(given.results / f"{given.name}.json", rows)
-        write_text(given.results / f"{given.name}.md", table)
+        write_others(given.results)
+        write_text(given.results / f"{name}.md", table)
         if readme is not None:
             write_text(given.readme, readme)
     except (SdfgcnError, OSError) as error:
@@ -210,6 +220,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 1
     print(table, end="")
     return 0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description="A table of finished runs beside the paper's.")
+    parser.add_argument("name", help="the files' name, such as rule_based")
+    parser.add_argument("folders", nargs="+", type=Path, help="run folders, or a sweep's folder")
+    given = arguments_of(parser, arguments)
+
+    def make() -> tuple[str, Callable[[Path], None]]:
+        rows = collect(given.folders)
+        return markdown(rows), lambda folder: write_json(folder / f"{given.name}.json", rows)
+
+    return publish(given, given.name, make)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ import signal
 import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
@@ -113,8 +113,8 @@ class ActorsPlan:
     env: EnvConfig
     counts: Counts
     policy: TensorDictModuleBase
-    pushes: int = 0
-    state: Mapping[str, Any] = field(default_factory=dict)
+    pushes: int
+    state: Mapping[str, Any]
 
 
 class SyncActors:
