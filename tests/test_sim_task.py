@@ -5,11 +5,12 @@ import numpy as np
 import pytest
 from configs import real_config
 from conftest import Envs
+from dm_control.mujoco import engine, wrapper
 from toys import BALL, BOX, CAN, SLAB, act, begin, lay_out
 
 from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.sim.arena import camera_model
+from sdfgcn.sim.arena import CAMERA, GROUP_SCENE, camera_model
 from sdfgcn.sim.episode import draw_episode
 from sdfgcn.sim.robots import ROBOTS
 
@@ -28,8 +29,8 @@ def toys(toys_of: Envs) -> RearrangementEnv:
 def owners(env: RearrangementEnv) -> set[str]:
     """Names of the models that the picture shows."""
     model = env._environment.physics.model
-    names = {model.id2name(int(geom), "geom") for geom in np.unique(env._renderer.geom_ids())}
-    return {name.split("/")[0] for name in names}
+    geoms = set(env._renderer.geom_ids().ravel()) - {-1}
+    return {model.id2name(int(geom), "geom").split("/")[0] for geom in geoms}
 
 
 # ------------------------------------------------------------------ the picture
@@ -37,9 +38,23 @@ def owners(env: RearrangementEnv) -> set[str]:
 
 def test_picture_shows_table_and_props_and_nothing_else(env):
     lay_out(env, [BALL, BOX], [(-0.1, 0.0), (0.1, 0.2)])
-    assert owners(env) == {"table", "ball", "box"}
+    assert owners(env) == {"ball", "box"}
     lay_out(env, [CAN], [(0.0, 0.1)])
-    assert owners(env) == {"table", "can"}
+    assert owners(env) == {"can"}
+    # The rest is the table, all over the picture.
+    rest = env._renderer.geom_ids() == -1
+    assert rest.sum() > 8000 and env._renderer.pixels()[rest].min() > 50
+
+
+def test_geom_ids_are_those_of_dm_control(env):
+    lay_out(env, [BALL, BOX, CAN], [(-0.15, 0.0), (0.15, 0.0), (0.0, 0.25)])
+    physics = env._environment.physics
+    option = wrapper.MjvOption()
+    option.geomgroup[:] = np.arange(6) == GROUP_SCENE
+    camera = engine.Camera(physics, 96, 96, camera_id=CAMERA)
+    segments = camera.render(segmentation=True, scene_option=option)
+    assert len(np.unique(segments[..., 0])) == 4
+    np.testing.assert_array_equal(env._renderer.geom_ids(), segments[..., 0])
 
 
 def test_robot_is_never_in_the_picture(env):

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 from dm_control import mjcf
 from dm_control.mujoco.engine import Camera
 from dm_control.mujoco.wrapper import MjvOption
-from mujoco import mjtObj
+from mujoco import mjtObj, mjtRndFlag
 from numpy.typing import NDArray
 
-from sdfgcn.sim.arena import CAMERA, GROUP_SCENE
+from sdfgcn.sim.arena import CAMERA, GROUP_SCENE, GROUP_TABLE
+
+GEOM = int(mjtObj.mjOBJ_GEOM)  # as a number: to compare with the enum takes longer
+IDS_AS_COLORS = {mjtRndFlag.mjRND_SEGMENT: True, mjtRndFlag.mjRND_IDCOLOR: True}
 
 
 class Renderer:
@@ -20,18 +24,42 @@ class Renderer:
 
     def __init__(self, physics: mjcf.Physics, size: int):
         """Set up for square pictures of `size` pixels."""
-        self._option = MjvOption()
-        self._option.geomgroup[:] = 0
-        self._option.geomgroup[GROUP_SCENE] = 1
-        self._option.sitegroup[:] = 0
+        self._physics = physics
+        self._rgb = _showing(GROUP_TABLE, GROUP_SCENE)
+        self._props = _showing(GROUP_SCENE)
         self._camera = Camera(physics, height=size, width=size, camera_id=CAMERA)
+        self._rectangle = mujoco.MjrRect(0, 0, size, size)
+        self._colors = np.zeros((size, size, 3), dtype=np.uint8)
 
     def pixels(self) -> NDArray[np.uint8]:
         """[H, W, 3] the RGB picture."""
-        return self._camera.render(scene_option=self._option).copy()
+        return self._camera.render(scene_option=self._rgb).copy()
 
     def geom_ids(self) -> NDArray[np.int64]:
-        """[H, W] the geom that each pixel shows, -1 for none."""
-        segments = self._camera.render(segmentation=True, scene_option=self._option)
-        # int(): comparing an array with an enum goes element by element, 10 times the rendering.
-        return np.where(segments[..., 1] == int(mjtObj.mjOBJ_GEOM), segments[..., 0], -1)
+        """[H, W] the prop's geom that each pixel shows, -1 for none."""
+        # As Camera.render(segmentation=True), which takes half as long again.
+        self._camera.update(self._props)
+        scene = self._camera.scene
+        with scene.override_flags(IDS_AS_COLORS), self._physics.contexts.gl.make_current() as gl:
+            gl.call(self._render)
+        ids = np.full(scene.ngeom + 1, -1)
+        for geom in scene.ptr.geoms[: scene.ngeom]:
+            if geom.objtype == GEOM:
+                ids[geom.segid + 1] = geom.objid
+        # The colours count from 1, lowest byte first; nothing is black.
+        return ids[self._colors[::-1] @ np.array([1, 2**8, 2**16])]
+
+    def _render(self) -> None:
+        """Draw the scene and fetch its colours, from the bottom row up; in the OpenGL thread."""
+        context = self._physics.contexts.mujoco.ptr
+        mujoco.mjr_render(self._rectangle, self._camera.scene.ptr, context)
+        mujoco.mjr_readPixels(self._colors, None, self._rectangle, context)
+
+
+def _showing(*groups: int) -> MjvOption:
+    """What draws the geoms of these groups and nothing else."""
+    option = MjvOption()
+    option.geomgroup[:] = 0
+    option.geomgroup[list(groups)] = 1
+    option.sitegroup[:] = 0
+    return option
