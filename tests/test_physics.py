@@ -77,6 +77,23 @@ def test_props_are_awake_while_pushed_and_asleep_after(toys_of: Envs):
     assert asleep(env)[BALL] and not asleep(env)[BOX]
 
 
+def test_slip_is_taken_out_after_the_push_and_not_in_it(toys_of: Envs, monkeypatch):
+    env = toys_of("gripper")
+    td = lay_out(env, [BOX], [(0.0, 0.1)])
+    sweeps, step = [], mujoco.mj_step
+
+    def spy(model: mujoco.MjModel, data: mujoco.MjData, nstep: int = 1) -> None:
+        sweeps.append(model.opt.noslip_iterations)
+        step(model, data, nstep)
+
+    monkeypatch.setattr(mujoco, "mj_step", spy)
+    act(env, td, 0)
+    assert env.last_step.push.status == "done"
+    assert sorted(set(sweeps)) == [0, 5] and sweeps == sorted(sweeps)
+    # What is done to the world between pushes is done as when it comes to rest.
+    assert env._environment.physics.model.opt.noslip_iterations == 5
+
+
 @pytest.mark.parametrize("toy", [BALL, CAN])
 def test_what_rolls_stops_soon(toys_of: Envs, toy):
     env = toys_of("gripper")

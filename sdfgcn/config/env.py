@@ -90,6 +90,7 @@ class PhysicsConfig:
     solref: list[float] = MISSING
     sleep_tolerance: float = MISSING
     settle_seconds: float = MISSING
+    noslip_iterations: int = MISSING
 
 
 @dataclass

@@ -52,7 +52,7 @@ class Table(composer.Arena):
             # An infinite plane for contacts, drawn as a square that fills the picture.
             size=[1.5, 1.5, 0.05],
             rgba=arena.table_rgba,
-            group=GROUP_SCENE,
+            group=GROUP_TABLE,
             friction=[physics.sliding_friction, 0.0, 0.0],
             solref=list(physics.solref),
             contype=1,

@@ -148,7 +148,10 @@ class RearrangementTask(composer.Task):
         """Execute the push and let the props come to rest."""
         del random_state
         command = PushCommand(start=action[:2], direction=int(action[2]), free=float(action[3]))
+        options = physics.model.opt
+        options.noslip_iterations = 0  # not while the tool moves: see conf/env/rearrangement.yaml
         status, start, end = self._primitive.execute(physics, command)
+        options.noslip_iterations = self._config.physics.noslip_iterations
         if status != "unreachable":
             self._settle(physics)
         self._left = self.poses(physics)
