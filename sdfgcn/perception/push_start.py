@@ -103,8 +103,10 @@ class PushPlanner:
         pixels, scale = camera.project_scaled(points)
 
         # Outside the picture nothing is known to be free, and no object is known to reach there.
-        union = _sample(sdfs.min(axis=0)[None], pixels[None], outside=-1.0)[0]
-        own = _sample(sdfs, pixels, outside=1.0)
+        layers = np.concatenate([sdfs, sdfs.min(axis=0)[None]])
+        own, union = _sample(layers, pixels, np.array([np.arange(m), np.full(m, m)]))
+        inside = ((pixels > 0.0) & (pixels < camera.size)).all(axis=-1)
+        own, union = np.where(inside, own, 1.0), np.where(inside, union, -1.0)
         # Behind the object's rearmost part on the line: the centre of a ring is free, but not
         # behind.
         behind = step > np.max(np.where(own <= 0.0, step, 0), axis=-1, keepdims=True)
@@ -121,11 +123,21 @@ class PushPlanner:
         return PushPlan(center=center, start=start, free=free, legal=legal)
 
 
-def _sample(fields: NDArray, pixels: NDArray, outside: float) -> NDArray[np.float64]:
-    """Bilinear samples of each of the [m, H, W] fields at its [m, ..., 2] pixels (u, v)."""
-    m, height, width = fields.shape
-    rows, columns = pixels[..., 1] - 0.5, pixels[..., 0] - 0.5
-    layer = np.broadcast_to(np.arange(m).reshape(m, *(1,) * (rows.ndim - 1)), rows.shape)
-    values = map_coordinates(fields, np.stack([layer, rows, columns]), order=1, mode="nearest")
-    inside = (rows > -0.5) & (rows < height - 0.5) & (columns > -0.5) & (columns < width - 0.5)
-    return np.where(inside, values, outside)
+def _sample(fields: NDArray, pixels: NDArray, layers: NDArray) -> NDArray[np.float64]:
+    """Bilinear samples of [L, H, W] fields, continued past their edges by the values there.
+
+    Args:
+        fields: [L, H, W].
+        pixels: [m, K, S, 2] where (u, v).
+        layers: [..., m] which of the fields for each of the m.
+
+    Returns:
+        [..., m, K, S].
+    """
+    _, height, width = fields.shape
+    # One field below the other, so that the interpolation has two dimensions and not three.
+    rows = np.clip(pixels[..., 1] - 0.5, 0.0, height - 1.0) + height * layers[..., None, None]
+    columns = np.broadcast_to(pixels[..., 0] - 0.5, rows.shape)
+    return map_coordinates(
+        fields.reshape(-1, width), np.stack([rows, columns]), order=1, mode="nearest"
+    )

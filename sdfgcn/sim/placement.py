@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from shapely import MultiPoint, Polygon
+from shapely import LineString, Polygon
 from shapely.affinity import translate
 
 from sdfgcn.config import ArenaConfig
@@ -91,7 +91,8 @@ def footprint(vertices: NDArray, quat: NDArray) -> Polygon:
         The convex hull of its outline.
     """
     turned = Rotation.from_quat(quat, scalar_first=True).apply(vertices)
-    return MultiPoint(turned[:, :2]).convex_hull
+    # One line through all the points: quicker to make than the points, and its hull is theirs.
+    return LineString(turned[:, :2]).convex_hull
 
 
 def is_free(points: NDArray, shapes: Sequence[Polygon], rule: Spacing) -> bool:

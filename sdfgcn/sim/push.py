@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 
 import mujoco
 import numpy as np
@@ -163,11 +164,11 @@ class PushPrimitive:
         tick = self._config.control_timestep * (1 if until_touch else 2)
         steps = round(tick / physics.model.opt.timestep)
         until = min(until, path.length)
-        ticks = max(1, int(np.ceil(abs(until - origin) / (speed * tick) - 1e-9)))
+        ticks = max(1, math.ceil(abs(until - origin) / (speed * tick) - 1e-9))
         travelled = origin + (until - origin) / ticks * np.arange(ticks + 1)
         joints = path.joints_at(travelled)
         # The velocity feed-forward takes out the lag of the drives.
-        control = joints[1:] + self._robot.lead * (joints[1:] - joints[:-1]) / tick
+        control = joints[1:] + self._robot.lead / tick * (joints[1:] - joints[:-1])
         # Without it at the end the tool comes to rest there and does not shoot past.
         brake = min(ticks, round(self._config.brake / tick))
         control[ticks - brake :] = joints[ticks + 1 - brake :]
@@ -206,7 +207,7 @@ class _Path:
 
     def joints_at(self, travelled: NDArray) -> NDArray:
         """[T, drives] joint positions at [T] metres along the path."""
-        place = np.clip(travelled / max(self._spacing, 1e-9), 0.0, len(self.joints) - 1.0)
+        place = travelled / max(self._spacing, 1e-9)
         before = np.minimum(place.astype(int), len(self.joints) - 2)
         here, there = self.joints[before], self.joints[before + 1]
         return here + (there - here) * (place - before)[:, None]

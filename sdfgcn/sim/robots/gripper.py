@@ -29,6 +29,7 @@ class FloatingGripper(Robot):
         mount = carriage.add("site", name="mount", pos=[0, 0, TCP_OFFSET], quat=[0, 1, 0, 0])
         self.gripper = load_fixed_gripper()
         mount.attach(self.gripper)
+        self._lead = np.full(len(self._joints), config.lead)
         stiffness = [config.stiffness] * 3 + [config.yaw_stiffness]
         self._actuators = [
             self._root.actuator.add(
@@ -66,4 +67,4 @@ class FloatingGripper(Robot):
     @property
     def lead(self) -> NDArray:
         """[4] seconds."""
-        return np.full(4, self._config.lead)
+        return self._lead

@@ -86,7 +86,7 @@ class Robot(composer.Entity, abc.ABC):
 
     def place(self, physics: mjcf.Physics, q: NDArray) -> None:
         """Put the robot at joint positions `q`, at rest, fingers closed."""
-        data = physics.data
+        data = physics.data.ptr
         data.qpos[self._qpos] = q
         data.qvel[self._qvel] = 0.0
         data.ctrl[self.drive_ids] = q
