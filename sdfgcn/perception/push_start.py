@@ -7,6 +7,7 @@ geometry, never from true poses.
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -51,11 +52,17 @@ def centers(
     masks: NDArray[np.bool_], camera: CameraModel, plane_height: float
 ) -> NDArray[np.float64]:
     """[m, 2] the centre of each of the [m, H, W] masks on the table, metres; none may be empty."""
-    per_row, per_column = masks.sum(axis=2), masks.sum(axis=1)
-    weight = per_row.sum(axis=1)
-    u = per_column @ (np.arange(masks.shape[2]) + 0.5) / weight
-    v = per_row @ (np.arange(masks.shape[1]) + 0.5) / weight
-    return camera.back_project(np.stack([u, v], axis=-1), plane_height)[..., :2]
+    m, height, width = masks.shape
+    # Whole and half numbers this small are exact in single precision.
+    sums = masks.reshape(m, height * width).astype(np.float32) @ _moments(height, width)
+    return camera.back_project(sums[:, 1:] / sums[:, :1].astype(float), plane_height)[..., :2]
+
+
+@functools.cache
+def _moments(height: int, width: int) -> NDArray[np.float32]:
+    """[H * W, 3] what each pixel adds to a mask's area and to its sums of columns and rows."""
+    rows, columns = np.indices((height, width)) + 0.5
+    return np.stack([np.ones_like(rows), columns, rows], axis=-1).reshape(-1, 3).astype(np.float32)
 
 
 class PushPlanner:

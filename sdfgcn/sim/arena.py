@@ -38,6 +38,9 @@ class Table(composer.Arena):
         # Shadows and multisampling cost over 20 times the rest of a 96x96 picture.
         root.visual.quality.shadowsize = 0
         root.visual.quality.offsamples = 0
+        # A frame buffer of the picture's size: neither too small for it nor larger to clear.
+        frame = root.visual.get_children("global")
+        frame.set_attributes(offwidth=arena.image_size, offheight=arena.image_size)
         root.visual.headlight.set_attributes(
             ambient=[0.4] * 3, diffuse=[0.4] * 3, specular=[0.1] * 3
         )
