@@ -41,6 +41,7 @@ class RobotConfig:
     name: str = MISSING
     home: list[float] = MISSING
     lead: float = MISSING
+    acceleration: float = MISSING
     base_position: list[float] = field(default_factory=list)
     ik_tolerance: float = 0.0
     ik_steps: int = 0
@@ -104,8 +105,8 @@ class PushConfig:
     height: float = MISSING
     approach: float = MISSING
     speed: float = MISSING
+    acceleration: float = MISSING
     descent_speed: float = MISSING
-    brake: float = MISSING
     retreat: float = MISSING
     lift_speed: float = MISSING
     control_timestep: float = MISSING

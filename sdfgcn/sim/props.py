@@ -80,7 +80,7 @@ def rolls(model: ObjectModel) -> bool:
 
     It can where hardly any push tips it over an edge of its support (the collision vertices
     within a millimetre of the table): where its centre of mass must rise by less than a
-    twentieth of its height for that. A prism of 10 sides rolls, one of 8 does not.
+    twelfth of its height for that. A prism of 9 sides rolls, one of 8 does not.
     """
     vertices = np.concatenate(model.pieces)
     for rest in model.rests:
@@ -90,7 +90,7 @@ def rolls(model: ObjectModel) -> bool:
         # The frame's origin is the centre of mass; the support is narrowest along the last axis.
         across = support @ axes[-1]
         edge = max(0.0, min(-across.min(), across.max()))
-        if np.hypot(rest.height, edge) < 1.05 * rest.height:
+        if np.hypot(rest.height, edge) < 1.08 * rest.height:
             return True
     return False
 

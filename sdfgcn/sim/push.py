@@ -27,6 +27,9 @@ def direction_vector(direction: int) -> NDArray[np.float64]:
     return np.array([np.cos(angle), np.sin(angle)])
 
 
+NEGLIGIBLE = 0.1  # rad/s2 or m/s2 of a drive, for which no feed-forward is worked out
+
+
 class PushPrimitive:
     """Runs one push in the simulation."""
 
@@ -49,8 +52,8 @@ class PushPrimitive:
 
         The robot crosses the free space above the props in one jump: nothing there can be
         touched, so simulating it would only cost time. Descent, push and lift are simulated; a
-        robot that jumps is driven down the last knot alone. A descent that would touch anything
-        is given up, and nothing moves.
+        robot that jumps is not driven down, but put there. A descent that would touch anything
+        is given up, and nothing moves; one that does so all the same is given up there.
 
         Args:
             physics: Stepped in place.
@@ -76,12 +79,9 @@ class PushPrimitive:
         except Unreachable:
             return "unreachable", start, start
 
-        if not self._free(physics, descent):
+        if not self._free(physics, descent) or not self._descend(physics, descent):
             self._robot.place(physics, self._robot.home)
             return "blocked", start, start
-        begin = max(0.0, descent.length - config.knot) if self._robot.jumps else 0.0
-        self._robot.place(physics, descent.at(begin)[1])
-        self._follow(physics, descent, config.descent_speed, origin=begin)
         reached, touched = self._push(physics, push, command.free + config.length)
         self._lift(physics, yaw, push, reached)
         return ("done" if touched else "no_contact"), start, push.at(reached)[0]
@@ -101,6 +101,15 @@ class PushPrimitive:
                 return False
         return True
 
+    def _descend(self, physics: mjcf.Physics, path: _Path) -> bool:
+        """Bring the tool down a path that was found free. Returns whether it touched nothing."""
+        if self._robot.jumps:
+            self._robot.place(physics, path.joints[-1])
+            return True
+        self._robot.place(physics, path.joints[0])
+        speed = self._config.descent_speed
+        return not self._follow(physics, path, speed, until_touch=True)[1]
+
     def _touches(self, data: mujoco.MjData) -> bool:
         """Whether a prop is in contact with the robot."""
         return bool(data.ncon) and bool(self._robot.owns_geom[data.contact.geom].any())
@@ -113,7 +122,15 @@ class PushPrimitive:
         )
         if touched:
             stop = reached + config.length if config.touch else expected
-            reached, _ = self._follow(physics, path, config.speed, origin=reached, until=stop)
+            reached, _ = self._follow(
+                physics,
+                path,
+                config.speed,
+                origin=reached,
+                until=stop,
+                from_rest=False,
+                gently=True,
+            )
         return reached, touched
 
     def _lift(self, physics: mjcf.Physics, yaw: float, push: _Path, reached: float) -> None:
@@ -134,7 +151,7 @@ class PushPrimitive:
         # Out of reach half-way up, the arm leaves for home from where it is.
         with contextlib.suppress(Unreachable):
             rise = _Path(self._robot, yaw, bottom, top, joints, config.approach)
-            self._follow(physics, rise, config.lift_speed)
+            self._follow(physics, rise, config.lift_speed, to_rest=False)
         self._robot.place(physics, self._robot.home)
 
     def _follow(
@@ -146,6 +163,9 @@ class PushPrimitive:
         origin: float = 0.0,
         until: float = np.inf,
         until_touch: bool = False,
+        from_rest: bool = True,
+        to_rest: bool = True,
+        gently: bool = False,
     ) -> tuple[float, bool]:
         """Drive the tool along a path.
 
@@ -156,6 +176,9 @@ class PushPrimitive:
             origin: Metres along the path at which to begin.
             until: Metres along the path at which to end; it may lie before `origin`.
             until_touch: Stop as soon as a prop touches the robot.
+            from_rest: Whether the tool is at rest before, and not already at `speed`.
+            to_rest: Whether it is to be at rest after.
+            gently: Whether to start and stop as a push does, and not as fast as the robot can.
 
         Returns:
             How far along the path the tool was sent, and whether a touch stopped it.
@@ -164,18 +187,27 @@ class PushPrimitive:
         tick = self._config.control_timestep * (1 if until_touch else 2)
         steps = round(tick / physics.model.opt.timestep)
         until = min(until, path.length)
-        ticks = max(1, math.ceil(abs(until - origin) / (speed * tick) - 1e-9))
-        travelled = origin + (until - origin) / ticks * np.arange(ticks + 1)
+        distance = until - origin
+        acceleration = self._config.acceleration if gently else self._robot.acceleration
+        way = ramped(abs(distance), speed, acceleration, tick, from_rest, to_rest)
+        travelled = origin + np.copysign(way, distance)
         joints = path.joints_at(travelled)
-        # The velocity feed-forward takes out the lag of the drives.
-        control = joints[1:] + self._robot.lead / tick * (joints[1:] - joints[:-1])
-        # Without it at the end the tool comes to rest there and does not shoot past.
-        brake = min(ticks, round(self._config.brake / tick))
-        control[ticks - brake :] = joints[ticks + 1 - brake :]
+        # Feed-forward of velocity and of acceleration takes out the lag of the drives.
+        velocity = np.zeros_like(joints)
+        velocity[1:-1] = (joints[2:] - joints[:-2]) / (2.0 * tick)
+        if not from_rest:
+            velocity[0] = (joints[1] - joints[0]) / tick
+        if not to_rest:
+            velocity[-1] = (joints[-1] - joints[-2]) / tick
+        control = (joints + self._robot.lead * velocity)[1:]
+        changes = (velocity[1:] - velocity[:-1]) / tick
+        changing = (np.abs(changes) > NEGLIGIBLE).any(axis=1)
         model, data = physics.model.ptr, physics.data.ptr
         drives, commanded = self._robot.drive_ids, data.ctrl
-        for reached, command in zip(travelled[1:], control, strict=True):
-            commanded[drives] = command
+        for k, reached in enumerate(travelled[1:]):
+            commanded[drives] = control[k]
+            if changing[k]:
+                commanded[drives] += self._robot.effort(physics, changes[k])
             mujoco.mj_step(model, data, steps)
             if until_touch and self._touches(data):
                 return float(reached), True
@@ -187,6 +219,43 @@ class PushPrimitive:
             limits = np.where(ahead > 0, self._reach.high - start, self._reach.low - start) / ahead
         limits = np.where(np.abs(ahead) < 1e-9, np.inf, limits)
         return float(max(0.0, min(wanted, limits.min())))
+
+
+def ramped(
+    distance: float,
+    speed: float,
+    acceleration: float,
+    tick: float,
+    from_rest: bool = True,
+    to_rest: bool = True,
+) -> NDArray[np.float64]:
+    """How far along a straight way the tool is at each tick.
+
+    Args:
+        distance: Metres.
+        speed: Metres per second in between; less on a way too short to get there.
+        acceleration: Metres per second squared, from rest and to rest.
+        tick: Seconds; the ticks are as many as it takes, so that the speed is a little less.
+        from_rest: Whether it starts from rest and not at that speed.
+        to_rest: Whether it ends at rest and not at that speed.
+
+    Returns:
+        [ticks + 1] metres, from 0 to `distance`.
+    """
+    if from_rest or to_rest:
+        speed = min(speed, math.sqrt(2.0 * acceleration * distance / (from_rest + to_rest)))
+    ramp = speed / acceleration  # seconds
+    lost = 0.5 * speed * ramp  # metres that a ramp falls short of the same time at full speed
+    lasts = (distance + lost * (from_rest + to_rest)) / speed if speed > 0.0 else 0.0
+    ticks = max(1, math.ceil(lasts / tick - 1e-9))
+    time = lasts / ticks * np.arange(ticks + 1)
+    way = speed * time - lost * from_rest
+    if from_rest:
+        way = np.where(time < ramp, 0.5 * acceleration * time**2, way)
+    if to_rest:
+        left = lasts - time
+        way = np.where(left < ramp, distance - 0.5 * acceleration * left**2, way)
+    return np.asarray(way, dtype=np.float64)
 
 
 class _Path:

@@ -245,6 +245,6 @@ class RearrangementTask(composer.Task):
         model, data = physics.model.ptr, physics.data.ptr
         trees = self._trees[self.episode.objects]
         for _ in range(round(config.settle_seconds / (SETTLE_STEPS * config.timestep))):
-            mujoco.mj_step(model, data, SETTLE_STEPS)
             if (data.tree_asleep[trees] >= 0).all():
                 return
+            mujoco.mj_step(model, data, SETTLE_STEPS)

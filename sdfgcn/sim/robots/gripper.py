@@ -65,6 +65,11 @@ class FloatingGripper(Robot):
         return True
 
     @property
+    def acceleration(self) -> float:
+        """Metres per second squared."""
+        return self._config.acceleration
+
+    @property
     def lead(self) -> NDArray:
         """[4] seconds."""
         return self._lead

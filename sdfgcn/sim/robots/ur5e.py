@@ -53,6 +53,11 @@ class UR5e(Robot):
         return False
 
     @property
+    def acceleration(self) -> float:
+        """Metres per second squared."""
+        return self._config.acceleration
+
+    @property
     def lead(self) -> NDArray:
         """[6] seconds."""
         return np.full(6, self._config.lead)
