@@ -110,7 +110,8 @@ def test_a_mirrored_picture_offers_the_mirrored_pushes(env_of: Envs, collected: 
         sdf = image["sdf"][found].numpy()
         np.testing.assert_array_equal(signed_distances(masks, "edt"), edt(observation, found))
         # Fast marching takes ties in the order of the pixels.
-        np.testing.assert_allclose(signed_distances(masks, "fmm"), sdf, atol=0.1)
+        apart = np.abs(signed_distances(masks, "fmm") - sdf)
+        assert apart.max() < 0.3 and (apart > 0.1).mean() < 0.001
         planner = PushPlanner(env.camera, env.config.push, env.config.arena)
         plan = planner.plan(masks, sdf)
         np.testing.assert_allclose(plan.center, image["center"][found], atol=1e-6)

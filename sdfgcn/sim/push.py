@@ -201,13 +201,12 @@ class PushPrimitive:
             velocity[-1] = (joints[-1] - joints[-2]) / tick
         control = (joints + self._robot.lead * velocity)[1:]
         changes = (velocity[1:] - velocity[:-1]) / tick
-        changing = (np.abs(changes) > NEGLIGIBLE).any(axis=1)
+        if (np.abs(changes) > NEGLIGIBLE).any():
+            control += self._robot.effort(physics, changes)
         model, data = physics.model.ptr, physics.data.ptr
         drives, commanded = self._robot.drive_ids, data.ctrl
         for k, reached in enumerate(travelled[1:]):
             commanded[drives] = control[k]
-            if changing[k]:
-                commanded[drives] += self._robot.effort(physics, changes[k])
             mujoco.mj_step(model, data, steps)
             if until_touch and self._touches(data):
                 return float(reached), True

@@ -88,7 +88,7 @@ class Robot(composer.Entity, abc.ABC):
             self._finger_qvel = physics.bind(fingers).dofadr
             self._finger_ctrl = physics.bind(self.gripper.find_all("actuator")).element_id
         self._stiffness = physics.model.actuator_gainprm[self.drive_ids, 0]
-        self._force, self._demand = np.zeros(physics.model.nv), np.zeros(physics.model.nv)
+        self._force, self._unit = np.zeros(physics.model.nv), np.zeros(physics.model.nv)
         self.owns_geom = np.zeros(physics.model.ngeom, dtype=bool)
         self.owns_geom[physics.bind(self._root.find_all("geom")).element_id] = True
 
@@ -103,19 +103,27 @@ class Robot(composer.Entity, abc.ABC):
             data.qvel[self._finger_qvel] = 0.0
             data.ctrl[self._finger_ctrl] = CLOSED
 
-    def effort(self, physics: mjcf.Physics, acceleration: NDArray) -> NDArray:
-        """How far ahead of a drive its command must be for an acceleration.
+    def effort(self, physics: mjcf.Physics, accelerations: NDArray) -> NDArray:
+        """How far ahead of the drives their commands must be for accelerations.
 
         Args:
-            physics: The inertia is that of its last step; there is none after a reset.
-            acceleration: One per drive, m/s2 or rad/s2.
+            physics: The inertia is that of the posture it is in.
+            accelerations: [T, drives] metres or radians per second squared.
 
         Returns:
-            One per drive, metres or radians.
+            [T, drives] metres or radians.
         """
-        self._demand[self._qvel] = acceleration
-        mujoco.mj_mulM(physics.model.ptr, physics.data.ptr, self._force, self._demand)
-        return self._force[self._qvel] / self._stiffness
+        model, data = physics.model.ptr, physics.data.ptr
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeM(model, data)
+        inertia = np.empty((len(self._qvel), len(self._qvel)))
+        for column, dof in zip(inertia.T, self._qvel, strict=True):
+            self._unit[dof] = 1.0
+            mujoco.mj_mulM(model, data, self._force, self._unit)
+            self._unit[dof] = 0.0
+            column[:] = self._force[self._qvel]
+        return accelerations @ inertia / self._stiffness
 
 
 def load_gripper() -> mjcf.RootElement:
