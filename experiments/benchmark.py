@@ -47,7 +47,16 @@ from sdfgcn.sim.robots import ROBOTS
 
 PARTS = {
     "physics": [
-        (mujoco, name) for name in ("mj_step", "mj_resetData", "mj_kinematics", "mj_collision")
+        (mujoco, name)
+        for name in (
+            "mj_step",
+            "mj_resetData",
+            "mj_kinematics",
+            "mj_collision",
+            "mj_comPos",
+            "mj_makeM",
+            "mj_mulM",
+        )
     ],
     "rendering": [(Renderer, "geom_ids"), (Renderer, "pixels")],
     "segmentation": [(segmenter, "__call__") for segmenter in SEGMENTERS.values()],

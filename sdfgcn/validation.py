@@ -17,6 +17,8 @@ from sdfgcn.config import (
 )
 from sdfgcn.errors import SdfgcnError
 
+MOTIONS = ("length", "speed", "acceleration", "descent_speed", "lift_speed")  # of env.push
+
 
 def typed(cfg: DictConfig) -> Config:
     """Turn Hydra's config into dataclasses and validate it.
@@ -51,6 +53,10 @@ def validate(config: Config) -> None:
     for key, split in (("eval.split", config.eval.split), ("env.split", env.split)):
         if split not in SPLITS:
             raise SdfgcnError(f"{key} is '{split}', but must be one of {', '.join(SPLITS)}.")
+    motions = {f"env.push.{key}": getattr(env.push, key) for key in MOTIONS}
+    for key, value in {**motions, "env.robot.acceleration": env.robot.acceleration}.items():
+        if value <= 0:
+            raise SdfgcnError(f"{key} is {value}, but must be above 0.")
     ticks = env.push.control_timestep / env.physics.timestep
     if not (ticks >= 0.5 and abs(ticks - round(ticks)) < 1e-6):
         raise SdfgcnError(

@@ -182,6 +182,10 @@ def test_hydra_errors_in_one_sentence(overrides: list[str], told: str) -> None:
         ("n_objects=0", "n_objects is 0, but must lie between 1 and env.max_objects (8)."),
         ("n_objects=9", "n_objects is 9, but must lie between 1 and env.max_objects (8)."),
         (
+            "env.robot.acceleration=0",
+            "env.robot.acceleration is 0.0, but must be above 0.",
+        ),
+        (
             "env.push.control_timestep=0.006",
             "env.push.control_timestep is 0.006, but must be a multiple of env.physics.timestep "
             "(0.005).",
