@@ -15,6 +15,8 @@ from sdfgcn.sim.placement import Region
 from sdfgcn.sim.robots import Robot, Unreachable
 from sdfgcn.sim.types import PushCommand, PushStatus
 
+NEGLIGIBLE = 0.1  # rad/s2 or m/s2 of a drive, for which no feed-forward is worked out
+
 
 def direction_angle(direction: int) -> float:
     """Angle of one of the 8 directions, radians counter-clockwise from the world's x axis."""
@@ -25,9 +27,6 @@ def direction_vector(direction: int) -> NDArray[np.float64]:
     """Unit vector [2] of one of the 8 directions."""
     angle = direction_angle(direction)
     return np.array([np.cos(angle), np.sin(angle)])
-
-
-NEGLIGIBLE = 0.1  # rad/s2 or m/s2 of a drive, for which no feed-forward is worked out
 
 
 class PushPrimitive:

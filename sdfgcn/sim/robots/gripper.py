@@ -29,7 +29,6 @@ class FloatingGripper(Robot):
         mount = carriage.add("site", name="mount", pos=[0, 0, TCP_OFFSET], quat=[0, 1, 0, 0])
         self.gripper = load_fixed_gripper()
         mount.attach(self.gripper)
-        self._lead = np.full(len(self._joints), config.lead)
         stiffness = [config.stiffness] * 3 + [config.yaw_stiffness]
         self._actuators = [
             self._root.actuator.add(
@@ -63,13 +62,3 @@ class FloatingGripper(Robot):
     def jumps(self) -> bool:
         """It does: where it touches nothing, simulating it would only cost time."""
         return True
-
-    @property
-    def acceleration(self) -> float:
-        """Metres per second squared."""
-        return self._config.acceleration
-
-    @property
-    def lead(self) -> NDArray:
-        """[4] seconds."""
-        return self._lead

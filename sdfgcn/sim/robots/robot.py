@@ -16,6 +16,8 @@ from dm_control import composer, mjcf
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from sdfgcn.config import RobotConfig
+
 TCP_OFFSET = 0.1735  # metres from the gripper's mount to the closed fingertips (measured)
 CONTYPE_ROBOT = 2  # contact bit 1: props touch it, see sdfgcn/sim/props.py
 CLOSED = 255.0  # the 2F-85 model's command for closed fingers
@@ -27,6 +29,8 @@ class Unreachable(Exception):  # noqa: N818 - an outcome of planning, not a fail
 
 class Robot(composer.Entity, abc.ABC):
     """A position-driven robot that carries a closed Robotiq 2F-85."""
+
+    _config: RobotConfig
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
@@ -63,14 +67,14 @@ class Robot(composer.Entity, abc.ABC):
         """Whether it comes down in a jump where its way is known to be free, and is not driven."""
 
     @property
-    @abc.abstractmethod
-    def lead(self) -> NDArray:
-        """Damping over stiffness of each drive, seconds: scales the velocity feed-forward."""
+    def lead(self) -> float:
+        """Damping over stiffness of the drives, seconds: scales the velocity feed-forward."""
+        return self._config.lead
 
     @property
-    @abc.abstractmethod
     def acceleration(self) -> float:
         """Of the tool when it starts and stops, metres per second squared."""
+        return self._config.acceleration
 
     def after_compile(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
         """Look up where the robot lives in the compiled model."""

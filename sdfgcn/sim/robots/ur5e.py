@@ -52,16 +52,6 @@ class UR5e(Robot):
         """It does not."""
         return False
 
-    @property
-    def acceleration(self) -> float:
-        """Metres per second squared."""
-        return self._config.acceleration
-
-    @property
-    def lead(self) -> NDArray:
-        """[6] seconds."""
-        return np.full(6, self._config.lead)
-
 
 class _Kinematics:
     """Inverse kinematics on a model of the arm alone: no props, so a step costs microseconds."""
