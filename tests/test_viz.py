@@ -14,8 +14,8 @@ from recordings import Recording
 from sdfgcn.config import ArenaConfig, EnvConfig
 from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.geometry.camera import CameraModel
 from sdfgcn.objects.model import ObjectModel, Rest
-from sdfgcn.sim.camera import CameraModel
 from sdfgcn.sim.types import Push
 from sdfgcn.viz import RECORDERS
 from sdfgcn.viz.geometry import edge_strips, node_slots, vertex_normals, zero_contour

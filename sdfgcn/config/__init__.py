@@ -4,7 +4,7 @@ The numbers live in YAML. A dataclass here names each key and types it; what a t
 `sdfgcn/validation.py` does, in sentences. Nothing mutates a config once it is built.
 """
 
-from sdfgcn.config.base import N_DIRECTIONS, SPLITS, lookup
+from sdfgcn.config.base import N_DIRECTIONS, SPLITS, ComponentConfig, lookup
 from sdfgcn.config.env import (
     ArenaConfig,
     EncoderConfig,
@@ -33,6 +33,7 @@ from sdfgcn.config.model import (
     ConvWidthConfig,
     ModelConfig,
     PoseGcnConfig,
+    QNetworkConfig,
 )
 from sdfgcn.config.train import (
     AugmentConfig,
@@ -53,6 +54,7 @@ __all__ = [
     "AugmentConfig",
     "BudgetConfig",
     "CollectorConfig",
+    "ComponentConfig",
     "Config",
     "ConvGcnConfig",
     "ConvModelConfig",
@@ -69,6 +71,7 @@ __all__ = [
     "PhysicsConfig",
     "PoseGcnConfig",
     "PushConfig",
+    "QNetworkConfig",
     "RewardConfig",
     "RobotConfig",
     "RuntimeConfig",

@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 
 from omegaconf import MISSING
 
+from sdfgcn.config.base import ComponentConfig
+
 
 @dataclass
-class ObjectsConfig:
+class ObjectsConfig(ComponentConfig):
     """Which object catalogue stands on the table (`conf/objects/`)."""
 
-    name: str = MISSING
     footprint_min: float = MISSING
     footprint_max: float = MISSING
     height_max: float = MISSING
@@ -35,10 +36,9 @@ class ObjectsConfig:
 
 
 @dataclass
-class RobotConfig:
+class RobotConfig(ComponentConfig):
     """What executes the push (`conf/robot/`); a key that a robot has no use for is zero."""
 
-    name: str = MISSING
     home: list[float] = MISSING
     lead: float = MISSING
     acceleration: float = MISSING
@@ -51,10 +51,9 @@ class RobotConfig:
 
 
 @dataclass
-class ScenarioConfig:
+class ScenarioConfig(ComponentConfig):
     """How start and goal layouts are drawn (`conf/scenario/`)."""
 
-    name: str = MISSING
     spacing: float = MISSING
     gap: float = MISSING
     max_tries: int = MISSING
@@ -98,10 +97,11 @@ class PhysicsConfig:
 class PushConfig:
     """The push primitive (`conf/env/`)."""
 
+    directions: int = MISSING
     length: float = MISSING
     touch: bool = MISSING
     clearance: float = MISSING
-    walk: float = MISSING
+    search_step: float = MISSING
     height: float = MISSING
     approach: float = MISSING
     speed: float = MISSING
@@ -110,7 +110,7 @@ class PushConfig:
     retreat: float = MISSING
     lift_speed: float = MISSING
     control_timestep: float = MISSING
-    knot: float = MISSING
+    waypoint_spacing: float = MISSING
     plane_height: float = MISSING
 
 
@@ -128,10 +128,9 @@ class RewardConfig:
 
 
 @dataclass
-class EncoderConfig:
+class EncoderConfig(ComponentConfig):
     """What tells objects apart for matching (`conf/encoder/`)."""
 
-    name: str = MISSING
     path: str | None = None
     depth: int = 0
     stages: list[int] = MISSING
@@ -143,10 +142,9 @@ class EncoderConfig:
 
 
 @dataclass
-class SegmentationConfig:
+class SegmentationConfig(ComponentConfig):
     """How masks are found in a picture (`conf/segmentation/`)."""
 
-    name: str = MISSING
     weights: str | None = None
     channels: int = MISSING
     widths: list[int] = MISSING
@@ -163,10 +161,9 @@ class SegmentationConfig:
 
 
 @dataclass
-class PerceptionConfig:
+class PerceptionConfig(ComponentConfig):
     """Picture -> masks -> SDFs (`conf/perception/`)."""
 
-    name: str = MISSING
     min_pixels: int = MISSING
     sdf: str = MISSING
     encoder: EncoderConfig = field(default_factory=EncoderConfig)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from omegaconf import MISSING
 
+from sdfgcn.config.base import ComponentConfig
 from sdfgcn.config.env import EnvConfig
 from sdfgcn.config.model import ConvGcnConfig, ConvModelConfig, ModelConfig, PoseGcnConfig
 from sdfgcn.config.train import (
@@ -30,17 +31,14 @@ class EvalConfig:
 
 
 @dataclass
-class LoggerConfig:
+class LoggerConfig(ComponentConfig):
     """Where running figures go besides the result files (`conf/logger/`)."""
-
-    name: str = MISSING
 
 
 @dataclass
-class VizConfig:
+class VizConfig(ComponentConfig):
     """Recordings (`conf/viz/`)."""
 
-    name: str = MISSING
     episodes: int = MISSING
 
 

@@ -6,12 +6,17 @@ from dataclasses import dataclass
 
 from omegaconf import MISSING
 
+from sdfgcn.config.base import ComponentConfig
+
 
 @dataclass
-class ModelConfig:
-    """Which method picks the push (`conf/model/`); learned ones extend it with their own keys."""
+class ModelConfig(ComponentConfig):
+    """Which method picks the push (`conf/model/`); each extends it with its own keys."""
 
-    name: str = MISSING
+
+@dataclass
+class QNetworkConfig(ModelConfig):
+    """A Q-network: a method that is trained, or evaluated from a checkpoint."""
 
 
 @dataclass
@@ -25,7 +30,7 @@ class ConvWidthConfig:
 
 
 @dataclass
-class ConvModelConfig(ModelConfig):
+class ConvModelConfig(QNetworkConfig):
     """A Q-network over pictures without a graph (`conf/model/sdf_cnn.yaml`)."""
 
     features: str = MISSING
@@ -43,7 +48,7 @@ class ConvGcnConfig(ConvModelConfig):
 
 
 @dataclass
-class PoseGcnConfig(ModelConfig):
+class PoseGcnConfig(QNetworkConfig):
     """A graph convolutional Q-network over positions (`conf/model/pose_gcn.yaml`)."""
 
     features: str = MISSING

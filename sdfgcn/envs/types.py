@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from sdfgcn.sim.camera import CameraModel
+from sdfgcn.geometry.camera import CameraModel
 from sdfgcn.sim.types import Push
 
 if TYPE_CHECKING:

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
 from sdfgcn.config import N_DIRECTIONS, ArenaConfig, PushConfig
-from sdfgcn.sim.camera import CameraModel
-from sdfgcn.sim.placement import Region
+from sdfgcn.geometry.camera import CameraModel
+from sdfgcn.geometry.region import Region
 from sdfgcn.sim.push import direction_vector
 from sdfgcn.sim.types import PushCommand
 
@@ -80,7 +80,7 @@ class PushPlanner:
         self._config = config
         self._reach = Region.reach(arena)
         directions = np.stack([direction_vector(k) for k in range(N_DIRECTIONS)])
-        back = np.arange(0.0, MAX_WALK, config.walk)
+        back = np.arange(0.0, MAX_WALK, config.search_step)
         self._step = np.arange(len(back))
         # [8, S, 3]: S points on each line, ever further behind an object at the origin.
         self._behind = np.zeros((N_DIRECTIONS, len(back), 3))
@@ -126,7 +126,7 @@ class PushPlanner:
         # Ahead of the start, the nearest occupied point on the line.
         occupied = (union <= 0.0) & (step < first[..., None])
         surface = np.max(np.where(occupied, step, 0), axis=-1)
-        free = (first - surface) * config.walk
+        free = (first - surface) * config.search_step
         return PushPlan(center=center, start=start, free=free, legal=legal)
 
 

@@ -17,10 +17,11 @@ from shapely import Polygon
 from shapely.affinity import translate
 
 from sdfgcn.config import EnvConfig, ScenesConfig
+from sdfgcn.geometry.region import Region
 from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.perception.appearance import Appearance, paint
 from sdfgcn.sim.episode import Episode
-from sdfgcn.sim.placement import Region, footprint
+from sdfgcn.sim.placement import footprint
 from sdfgcn.sim.renderer import Renderer
 from sdfgcn.sim.task import RearrangementTask
 

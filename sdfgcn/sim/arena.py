@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import numpy as np
 from dm_control import composer
 
 from sdfgcn.config import ArenaConfig, PhysicsConfig
-from sdfgcn.sim.camera import CameraModel
+from sdfgcn.geometry.camera import camera_model
 
 # Geom groups decide what a picture shows and cost nothing to switch.
 GROUP_SCENE = 0  # visible props: in every picture
@@ -69,24 +68,3 @@ class Table(composer.Arena):
             xyaxes=[*camera.rotation[:, 0], *camera.rotation[:, 1]],
             fovy=arena.camera_fovy,
         )
-
-
-def camera_model(arena: ArenaConfig) -> CameraModel:
-    """The camera that the config describes.
-
-    It stands on the robot's side of the table (the paper's camera rides on the wrist), tilted
-    from straight down; up in the picture is +y, right is +x.
-
-    Returns:
-        The camera, aimed at `camera_target` from `camera_distance` metres.
-    """
-    tilt = np.radians(arena.camera_tilt)
-    backward = np.array([0.0, -np.sin(tilt), np.cos(tilt)])
-    right = np.array([1.0, 0.0, 0.0])
-    target = np.array([*arena.camera_target, 0.0])
-    return CameraModel(
-        position=target + arena.camera_distance * backward,
-        rotation=np.stack([right, np.cross(backward, right), backward], axis=-1),
-        fovy=float(np.radians(arena.camera_fovy)),
-        size=arena.image_size,
-    )

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from shapely import LineString, Polygon
 from shapely.affinity import translate
 
-from sdfgcn.config import ArenaConfig
+from sdfgcn.geometry.region import Region
 
 
 class NoRoom(Exception):  # noqa: N818 - an outcome of sampling; the caller draws again
@@ -42,42 +42,6 @@ class Spacing:
 
     centers: float
     gap: float
-
-
-@dataclass(frozen=True)
-class Region:
-    """An axis-aligned rectangle on the table.
-
-    Attributes:
-        low: [2] smallest x and y, metres.
-        high: [2] largest x and y, metres.
-    """
-
-    low: NDArray[np.float64]
-    high: NDArray[np.float64]
-
-    @staticmethod
-    def spawn(arena: ArenaConfig) -> Region:
-        """Where props may be placed."""
-        low, high = np.transpose([arena.spawn_x, arena.spawn_y])
-        return Region(low, high)
-
-    @staticmethod
-    def range(arena: ArenaConfig) -> Region:
-        """Where props may be without being out of range."""
-        low, high = np.transpose([arena.range_x, arena.range_y])
-        return Region(low, high)
-
-    @staticmethod
-    def reach(arena: ArenaConfig) -> Region:
-        """Where the tool may go."""
-        low, high = np.transpose([arena.reach_x, arena.reach_y])
-        return Region(low, high)
-
-    def contains(self, points: NDArray) -> NDArray[np.bool_]:
-        """[...] whether each of the [..., 2] points lies inside."""
-        inside = (points >= self.low) & (points <= self.high)
-        return inside[..., 0] & inside[..., 1]
 
 
 def footprint(vertices: NDArray, quat: NDArray) -> Polygon:

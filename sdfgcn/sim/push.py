@@ -11,7 +11,7 @@ from dm_control import mjcf
 from numpy.typing import NDArray
 
 from sdfgcn.config import N_DIRECTIONS, ArenaConfig, PushConfig
-from sdfgcn.sim.placement import Region
+from sdfgcn.geometry.region import Region
 from sdfgcn.sim.robots import Robot, Unreachable
 from sdfgcn.sim.types import PushCommand, PushStatus
 
@@ -73,8 +73,8 @@ class PushPrimitive:
         yaw = direction_angle(command.direction) % np.pi - np.pi / 2
         try:
             q_above = self._robot.solve(np.array([*above, yaw]))
-            descent = _Path(self._robot, yaw, above, start, q_above, config.knot)
-            push = _Path(self._robot, yaw, start, end, descent.joints[-1], config.knot)
+            descent = _Path(self._robot, yaw, above, start, q_above, config.waypoint_spacing)
+            push = _Path(self._robot, yaw, start, end, descent.joints[-1], config.waypoint_spacing)
         except Unreachable:
             return "unreachable", start, start
 

@@ -12,10 +12,10 @@ from mujoco import mjtSleepPolicy
 from numpy.typing import NDArray
 
 from sdfgcn.config import N_DIRECTIONS, EnvConfig
+from sdfgcn.geometry.region import Region
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.sim.arena import GROUP_PARKED, GROUP_SCENE, Table
 from sdfgcn.sim.episode import Episode
-from sdfgcn.sim.placement import Region
 from sdfgcn.sim.props import CONAFFINITY_PROP, CONTYPE_PROP, PARKING, Prop
 from sdfgcn.sim.push import PushPrimitive
 from sdfgcn.sim.reward import reward_terms

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from sdfgcn.envs.types import Scene
+from sdfgcn.geometry.camera import CameraModel
 from sdfgcn.graph import adjacency_matrix
-from sdfgcn.sim.camera import CameraModel
 
 _FAR = 1e6  # a cost that loses against any real one
 

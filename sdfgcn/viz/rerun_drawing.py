@@ -12,8 +12,8 @@ from PIL import Image
 
 from sdfgcn.config import ArenaConfig
 from sdfgcn.envs.types import Scene
+from sdfgcn.geometry.camera import CameraModel
 from sdfgcn.objects.model import ObjectModel
-from sdfgcn.sim.camera import CameraModel
 from sdfgcn.sim.types import PushStatus
 from sdfgcn.viz.geometry import edge_strips, vertex_normals
 

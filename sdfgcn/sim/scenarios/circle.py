@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sdfgcn.sim.placement import Layout, NoRoom, Region, is_free
+from sdfgcn.geometry.region import Region
+from sdfgcn.sim.placement import Layout, NoRoom, is_free
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sdfgcn.sim.placement import Layout, NoRoom, Region
+from sdfgcn.geometry.region import Region
+from sdfgcn.sim.placement import Layout, NoRoom
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from shapely import Point, Polygon, hausdorff_distance
 
 from sdfgcn.config import ArenaConfig, ScenarioConfig
-from sdfgcn.sim.placement import Layout, Region, Spacing, sample_positions
+from sdfgcn.geometry.region import Region
+from sdfgcn.sim.placement import Layout, Spacing, sample_positions
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from sdfgcn.sim.placement import Layout, Region, sample_positions
+from sdfgcn.geometry.region import Region
+from sdfgcn.sim.placement import Layout, sample_positions
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 

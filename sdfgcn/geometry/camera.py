@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from sdfgcn.config import ArenaConfig
+
 
 @dataclass(frozen=True)
 class CameraModel:
@@ -84,3 +86,24 @@ class CameraModel:
         # Exactly on the plane, not within rounding of it.
         points[..., 2] = np.where(np.isnan(scale), np.nan, height)
         return points
+
+
+def camera_model(arena: ArenaConfig) -> CameraModel:
+    """The camera that the config describes.
+
+    It stands on the robot's side of the table (the paper's camera rides on the wrist), tilted
+    from straight down; up in the picture is +y, right is +x.
+
+    Returns:
+        The camera, aimed at `camera_target` from `camera_distance` metres.
+    """
+    tilt = np.radians(arena.camera_tilt)
+    backward = np.array([0.0, -np.sin(tilt), np.cos(tilt)])
+    right = np.array([1.0, 0.0, 0.0])
+    target = np.array([*arena.camera_target, 0.0])
+    return CameraModel(
+        position=target + arena.camera_distance * backward,
+        rotation=np.stack([right, np.cross(backward, right), backward], axis=-1),
+        fovy=float(np.radians(arena.camera_fovy)),
+        size=arena.image_size,
+    )

@@ -1,0 +1,107 @@
+"""What an environment reports about an episode besides its observations.
+
+Recorders and result tables read these. Shapes: n objects in the episode (slots, in the order of
+the truth), N rows of a scene, D push directions, H and W the picture's size.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sdfgcn.geometry.camera import CameraModel
+from sdfgcn.scene import Scene
+from sdfgcn.world import PushResult, Truth
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """One moment of an episode.
+
+    Attributes:
+        scene: What perception made of the picture.
+        matched: bool [N] the rows in which the scene and the goal show the same object; for the
+            goal itself its own rows.
+        pixels: uint8 [H, W, 3] the RGB picture; None unless the environment records.
+        poses: float64 [n, 7] true poses by slot: xyz in metres, quaternion w, x, y, z; None in a
+            world without truth.
+    """
+
+    scene: Scene
+    matched: NDArray[np.bool_]
+    pixels: NDArray[np.uint8] | None
+    poses: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True)
+class EpisodeStart:
+    """What is fixed for one episode, and its first moment.
+
+    Attributes:
+        seed: The episode's seed.
+        n_objects: Objects of the episode.
+        truth: The objects, their colours and true goals; None in a world without truth.
+        start: The start.
+        goal: The arrangement to reach.
+        camera: The camera that took both pictures.
+    """
+
+    seed: int
+    n_objects: int
+    truth: Truth | None
+    start: Snapshot
+    goal: Snapshot
+    camera: CameraModel
+
+
+@dataclass(frozen=True)
+class Push:
+    """The push that an action stood for, and what became of it.
+
+    Attributes:
+        row: The row that was pushed, in the scene before the push.
+        direction: Which of the D directions.
+        angle: Where that heads, radians counter-clockwise from the world's x axis.
+        result: Status, start and end.
+    """
+
+    row: int
+    direction: int
+    angle: float
+    result: PushResult
+
+
+@dataclass(frozen=True)
+class StepRecord:
+    """One push and what came of it.
+
+    Attributes:
+        index: 1 for the first push of the episode.
+        push: What was executed.
+        after: The moment after the push.
+        distances: float, the distance of each object to its goal after the push, metres: by slot
+            with truth, else of each matched row.
+        reward_terms: The reward's terms by name.
+        reward: Their sum, as the agent gets it.
+        success: Every object lies within the threshold of its goal.
+        out_of_range: An object left the allowed region.
+        terminated: The episode ended by success, out of range, or because nothing is detected.
+        truncated: The episode ended at the step limit.
+        legal: bool [N, D] which pushes were legal.
+        q_values: float [N, D] the agent's action values, if it has any.
+    """
+
+    index: int
+    push: Push
+    after: Snapshot
+    distances: NDArray[np.float64]
+    reward_terms: dict[str, float]
+    reward: float
+    success: bool
+    out_of_range: bool
+    terminated: bool
+    truncated: bool
+    legal: NDArray[np.bool_]
+    q_values: NDArray[np.float32] | None = None

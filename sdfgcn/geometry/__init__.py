@@ -1,0 +1,1 @@
+"""Where things are: the camera and the regions of the table."""

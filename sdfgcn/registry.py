@@ -1,0 +1,168 @@
+"""Components that are picked by name in the config: one registry for each such config group.
+
+A component registers itself, with its config dataclass, where it is defined:
+
+    @ROBOTS.register("gripper", config=GripperConfig)
+    class FloatingGripper(Robot): ...
+
+Its file lies in the package that the registry names, and `conf/<group>/<name>.yaml` holds its
+numbers; nothing else has to know of it. A component of another installed package is found by an
+entry point of the group `sdfgcn.components` that names a module of that package: importing it
+registers the component, and a folder `conf` beside that module holds the YAML.
+"""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import pkgutil
+from collections.abc import Callable, Iterator, Mapping
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any, Generic, TypeVar
+
+from sdfgcn.config import (
+    ComponentConfig,
+    EncoderConfig,
+    LoggerConfig,
+    ModelConfig,
+    ObjectsConfig,
+    PerceptionConfig,
+    RobotConfig,
+    ScenarioConfig,
+    SegmentationConfig,
+    VizConfig,
+    lookup,
+)
+
+PLUGINS = "sdfgcn.components"  # the group of entry points
+
+T = TypeVar("T")
+
+
+class Registry(Mapping[str, T], Generic[T]):
+    """Maps the options of one config group to what builds them, and to their config dataclasses.
+
+    The modules that register components are imported when a component is first looked up.
+    """
+
+    def __init__(self, group: str, path: str, modules: str, base: type[ComponentConfig]) -> None:
+        """Make an empty registry.
+
+        Args:
+            group: The config group, a folder of `conf/`.
+            path: Where the group stands in the config, such as "env.robot".
+            modules: The module that registers components; "package.*" for all of a package.
+            base: The config dataclass of a component without keys of its own.
+        """
+        self.group = group
+        self.path = path
+        self._modules = modules.split()
+        self._base = base
+        self._builders: dict[str, T] = {}
+        self._configs: dict[str, type[ComponentConfig]] = {}
+
+    def register(
+        self, *names: str, config: type[ComponentConfig] | None = None
+    ) -> Callable[[Any], Any]:
+        """Register what is decorated: a class or function that builds the component.
+
+        Args:
+            names: The options of the group that it builds.
+            config: Their config dataclass; the group's own if None.
+
+        Raises:
+            ValueError: Something else has registered that name.
+        """
+
+        def decorate(builder: Any) -> Any:
+            for name in names:
+                if name in self._builders:
+                    raise ValueError(f"{self.group}={name} is registered twice")
+                self._builders[name] = builder
+                self._configs[name] = config or self._base
+            return builder
+
+        return decorate
+
+    def find(self, name: str) -> T:
+        """What builds the component.
+
+        Raises:
+            SdfgcnError: There is no such component.
+        """
+        self._load()
+        return lookup(self._builders, f"{self.path}.name", name)
+
+    def config_type(self, name: str) -> type[ComponentConfig]:
+        """The config dataclass of a component.
+
+        Raises:
+            SdfgcnError: There is no such component.
+        """
+        self._load()
+        return lookup(self._configs, f"{self.path}.name", name)
+
+    def __getitem__(self, name: str) -> T:
+        self._load()
+        return self._builders[name]
+
+    def __iter__(self) -> Iterator[str]:
+        self._load()
+        return iter(sorted(self._builders))
+
+    def __len__(self) -> int:
+        self._load()
+        return len(self._builders)
+
+    def _load(self) -> None:
+        """Import every module that may register a component; a second time costs nothing."""
+        for name in self._modules:
+            package = importlib.import_module(name.removesuffix(".*"))
+            if name.endswith(".*"):
+                for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
+                    importlib.import_module(module.name)
+        for plugin in plugins():
+            importlib.import_module(plugin.module)
+
+
+@functools.cache
+def plugins() -> tuple[EntryPoint, ...]:
+    """The entry points of other packages' components."""
+    return tuple(entry_points(group=PLUGINS))
+
+
+MODELS: Registry[Any] = Registry("model", "model", "sdfgcn.models.* sdfgcn.agents.*", ModelConfig)
+OBJECTS: Registry[Any] = Registry(
+    "objects", "env.objects", "sdfgcn.objects.sources.*", ObjectsConfig
+)
+ROBOTS: Registry[Any] = Registry("robot", "env.robot", "sdfgcn.sim.robots.*", RobotConfig)
+SCENARIOS: Registry[Any] = Registry(
+    "scenario", "env.scenario", "sdfgcn.sim.scenarios.*", ScenarioConfig
+)
+PERCEPTIONS: Registry[Any] = Registry(
+    "perception", "env.perception", "sdfgcn.perception.*", PerceptionConfig
+)
+ENCODERS: Registry[Any] = Registry(
+    "encoder", "env.perception.encoder", "sdfgcn.perception.encoders.*", EncoderConfig
+)
+SEGMENTERS: Registry[Any] = Registry(
+    "segmentation",
+    "env.perception.segmentation",
+    "sdfgcn.perception.segmenters.*",
+    SegmentationConfig,
+)
+LOGGERS: Registry[Any] = Registry("logger", "logger", "sdfgcn.loggers", LoggerConfig)
+RECORDERS: Registry[Any] = Registry("viz", "viz", "sdfgcn.viz", VizConfig)
+
+# In the order in which their configs nest: an outer one before those inside it.
+REGISTRIES: tuple[Registry[Any], ...] = (
+    MODELS,
+    OBJECTS,
+    ROBOTS,
+    SCENARIOS,
+    PERCEPTIONS,
+    ENCODERS,
+    SEGMENTERS,
+    LOGGERS,
+    RECORDERS,
+)
