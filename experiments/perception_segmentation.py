@@ -22,8 +22,8 @@ from tqdm import tqdm
 from sdfgcn.config import Config, lookup
 from sdfgcn.files import write_text
 from sdfgcn.objects.catalogue import load_catalogue
-from sdfgcn.perception.metrics import MaskScores, score_masks
-from sdfgcn.perception.segmentation_scores import SceneView, shifted_look, summary, views
+from sdfgcn.segmentation.metrics import MaskScores, score_masks
+from sdfgcn.segmentation.scores import Example, shifted_look, summary, views
 from sdfgcn.perception.segmenters import SEGMENTERS
 from sdfgcn.perception.segmenters.ucn import SHIPPED
 from sdfgcn.results import wilson
@@ -33,7 +33,7 @@ N_OBJECTS = (2, 3, 4, 5, 6)
 LOOKS = {"own": None, "shifted": shifted_look}  # light and table colour
 CATALOGUES = ("scanned", "household")
 
-Row = tuple[SceneView, NDArray[np.bool_], MaskScores]
+Row = tuple[Example, NDArray[np.bool_], MaskScores]
 
 
 def run(overrides: list[str], scenes: int) -> None:

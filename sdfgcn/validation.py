@@ -12,7 +12,7 @@ from sdfgcn.config import (
     ModelConfig,
     ObjectsConfig,
     PoseGcnConfig,
-    TrainUCNConfig,
+    SegmentationTrainingConfig,
     lookup,
 )
 from sdfgcn.errors import SdfgcnError
@@ -267,13 +267,13 @@ def validate_objects(objects: ObjectsConfig) -> None:
         )
 
 
-def validate_train_ucn(config: TrainUCNConfig) -> None:
+def validate_segmentation_training(config: SegmentationTrainingConfig) -> None:
     """Check what the types cannot say about a training of the segmentation network.
 
     Raises:
         SdfgcnError: One sentence that names the key, the value seen and what would work.
     """
-    scenes = config.scenes
+    arrangements = config.arrangements
     for key, value, least in (
         ("seed", config.seed, 0),
         ("steps", config.steps, 1),
@@ -281,16 +281,16 @@ def validate_train_ucn(config: TrainUCNConfig) -> None:
         ("checkpoint_steps", config.checkpoint_steps, 1),
         ("validation_scenes", config.validation_scenes, 1),
         ("torch_threads", config.torch_threads, 1),
-        ("scenes.layouts", scenes.layouts, 1),
-        ("scenes.appearances", scenes.appearances, 1),
-        ("scenes.workers", scenes.workers, 0),
+        ("arrangements.layouts", arrangements.layouts, 1),
+        ("arrangements.appearances", arrangements.appearances, 1),
+        ("arrangements.workers", arrangements.workers, 0),
     ):
         if value < least:
             raise SdfgcnError(f"{key} is {value}, but must be at least {least}.")
-    fewest, most = scenes.n_objects
+    fewest, most = arrangements.n_objects
     if not 1 <= fewest <= most:
         raise SdfgcnError(
-            f"scenes.n_objects is {scenes.n_objects}, but must be two numbers from 1 on, the "
+            f"arrangements.n_objects is {scenes.n_objects}, but must be two numbers from 1 on, the "
             "smaller first."
         )
     if not config.catalogues:

@@ -41,9 +41,9 @@ from sdfgcn.config.train import (
     CollectorConfig,
     CurriculumConfig,
     HerConfig,
-    ScenesConfig,
+    ArrangementsConfig,
     TrainConfig,
-    TrainUCNConfig,
+    SegmentationTrainingConfig,
 )
 
 __all__ = [
@@ -76,10 +76,10 @@ __all__ = [
     "RobotConfig",
     "RuntimeConfig",
     "ScenarioConfig",
-    "ScenesConfig",
+    "ArrangementsConfig",
     "SegmentationConfig",
     "TrainConfig",
-    "TrainUCNConfig",
+    "SegmentationTrainingConfig",
     "VizConfig",
     "lookup",
     "register_schema",

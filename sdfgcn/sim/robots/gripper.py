@@ -59,6 +59,6 @@ class FloatingGripper(Robot):
         return np.array(self._config.home)
 
     @property
-    def jumps(self) -> bool:
+    def teleports(self) -> bool:
         """It does: where it touches nothing, simulating it would only cost time."""
         return True

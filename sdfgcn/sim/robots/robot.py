@@ -63,7 +63,7 @@ class Robot(composer.Entity, abc.ABC):
 
     @property
     @abc.abstractmethod
-    def jumps(self) -> bool:
+    def teleports(self) -> bool:
         """Whether it comes down in a jump where its way is known to be free, and is not driven."""
 
     @property

@@ -48,7 +48,7 @@ class UR5e(Robot):
         return np.array(self._config.home)
 
     @property
-    def jumps(self) -> bool:
+    def teleports(self) -> bool:
         """It does not."""
         return False
 

@@ -1,6 +1,6 @@
-"""Train the segmentation network: `python -m sdfgcn.perception.train_ucn`.
+"""Train the segmentation network: `python -m sdfgcn.segmentation.train`.
 
-Takes overrides as `run.py` does; `conf/train_ucn.yaml` has the keys. The folder `out` holds the
+Takes overrides as `run.py` does; `conf/train_segmentation.yaml` has the keys. The folder `out` holds the
 config, a checkpoint, `metrics.csv` and, in the end, `ucn.safetensors`; the same folder goes on
 with a training that was cut off.
 """
@@ -20,18 +20,18 @@ from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from sdfgcn.config import TrainUCNConfig
+from sdfgcn.config import SegmentationTrainingConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.opengl import check_opengl
-from sdfgcn.perception.ucn_training import train
-from sdfgcn.validation import validate_train_ucn
+from sdfgcn.segmentation.training import train
+from sdfgcn.validation import validate_segmentation_training
 
 CONF = Path(__file__).resolve().parents[2] / "conf"
 
-ConfigStore.instance().store(name="train_ucn_schema", node=TrainUCNConfig)
+ConfigStore.instance().store(name="train_segmentation_schema", node=SegmentationTrainingConfig)
 
 
-def typed(cfg: DictConfig) -> TrainUCNConfig:
+def typed(cfg: DictConfig) -> SegmentationTrainingConfig:
     """Turn Hydra's config into dataclasses and validate it.
 
     Raises:
@@ -39,9 +39,11 @@ def typed(cfg: DictConfig) -> TrainUCNConfig:
         OmegaConfBaseException: A key is unknown or a value is missing.
     """
     values = OmegaConf.to_container(cfg, resolve=True)
-    config = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(TrainUCNConfig), values))
-    assert isinstance(config, TrainUCNConfig)
-    validate_train_ucn(config)
+    config = OmegaConf.to_object(
+        OmegaConf.merge(OmegaConf.structured(SegmentationTrainingConfig), values)
+    )
+    assert isinstance(config, SegmentationTrainingConfig)
+    validate_segmentation_training(config)
     return config
 
 
@@ -51,7 +53,7 @@ def main() -> int:
     composed: list[DictConfig] = []
 
     # Hydra only composes: an error of its job would come with lines of its own.
-    @hydra.main(config_path=str(CONF), config_name="train_ucn", version_base="1.3")
+    @hydra.main(config_path=str(CONF), config_name="train_segmentation", version_base="1.3")
     def compose(cfg: DictConfig) -> None:
         composed.append(cfg)
 
