@@ -18,7 +18,7 @@ from sdfgcn.objects.convex import (
 from sdfgcn.objects.meshes import decimate, mesh_volume, weld
 from sdfgcn.objects.primitives import box, circle, join, prism, turned_solid, turned_vessel
 from sdfgcn.objects.resting import find_rests
-from sdfgcn.objects.scanned import read_msh, read_stl
+from sdfgcn.objects.sources.scanned import read_msh, read_stl
 
 
 def test_compound_of_two_boxes():
