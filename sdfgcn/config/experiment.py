@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from omegaconf import MISSING
+from omegaconf import MISSING, OmegaConf
 
 from sdfgcn.config.base import ComponentConfig
 from sdfgcn.config.env import EnvConfig
@@ -79,7 +79,9 @@ def register_schema() -> None:
     from hydra.core.config_store import ConfigStore  # a trained policy is used without Hydra
 
     store = ConfigStore.instance()
-    store.store(name="schema", node=Config)
+    schema = OmegaConf.structured(Config)
+    OmegaConf.set_struct(schema.env.objects, False)  # a source may have keys of its own
+    store.store(name="schema", node=schema)
     for model in (ConvModelConfig, ConvGcnConfig, PoseGcnConfig):
         # At the top, not in the group `model`: there Hydra would offer them as options.
         store.store(name=f"schema_{model.__name__}", node=model)

@@ -23,6 +23,7 @@ from tqdm import tqdm
 
 from sdfgcn.config import SPLITS, ObjectsConfig, register_schema
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import replaced
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.validation import typed
@@ -143,9 +144,8 @@ def main(arguments: list[str]) -> int:
     overrides = [a for a in arguments if not a.startswith(("out=", "pieces="))]
     try:
         sheet = draw_sheet(read_config(overrides), pieces=own.get("pieces", "false") == "true")
-        part = out.with_name(f".{out.name}.part")
-        sheet.save(part, format="PNG")
-        part.replace(out)
+        with replaced(out) as part:
+            sheet.save(part, format="PNG")
     except (SdfgcnError, HydraException, OmegaConfBaseException, OSError) as error:
         print(str(error).splitlines()[0], file=sys.stderr)
         return 1

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import signal
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from torchrl.collectors import Collector, MultiAsyncCollector
 from sdfgcn.config import Config, EnvConfig
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.processes import end_with_parent
+from sdfgcn.processes import follow_parent
 from sdfgcn.train.curriculum import ObjectCountSampler
 
 IDLE_SECONDS = 0.2  # between two looks at whether the learner may do an update
@@ -153,7 +152,7 @@ class AsyncCollector:
             num_threads=torch.get_num_threads(),
             num_sub_threads=config.runtime.torch_threads,
             auto_register_policy_transforms=False,
-            init_fn=_start_worker,
+            init_fn=follow_parent,
         )
         self._batches = iter(self._collector)
         self._waiter = ThreadPoolExecutor(1)
@@ -199,8 +198,3 @@ def _env_in_worker(config: EnvConfig, counts: ObjectCountSampler, seed: int) -> 
 def _seed(seed: int, worker: int, pushes: int) -> int:
     """The seed of a collector's env, other than those of evaluation episodes."""
     return int(np.random.SeedSequence(seed, spawn_key=(1, worker, pushes)).generate_state(1)[0])
-
-
-def _start_worker() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the learner hears Ctrl-C and ends its workers
-    end_with_parent()

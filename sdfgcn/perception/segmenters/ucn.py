@@ -13,6 +13,7 @@ from safetensors import SafetensorError, safe_open
 
 from sdfgcn.config import SegmentationConfig
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import replaced
 from sdfgcn.perception.segmenters.clustering import cluster, masks_of
 from sdfgcn.perception.segmenters.network import UCN
 
@@ -105,12 +106,11 @@ def load_network(config: SegmentationConfig) -> UCN:
 
 def save_network(network: UCN, config: SegmentationConfig, path: Path) -> None:
     """Write weights in one step, with the sizes of their network."""
-    part = path.with_name(f".{path.name}.part")
     tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
     metadata = {"sizes": json.dumps(network_sizes(config))}
-    # Not save_file: it makes a file that only its owner may read.
-    part.write_bytes(safetensors.torch.save(tensors, metadata=metadata))
-    part.replace(path)
+    with replaced(path) as part:
+        # Not save_file: it makes a file that only its owner may read.
+        part.write_bytes(safetensors.torch.save(tensors, metadata=metadata))
 
 
 def network_sizes(config: SegmentationConfig) -> dict[str, object]:
