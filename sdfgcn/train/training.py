@@ -1,46 +1,54 @@
-"""The training loop: push, remember, learn, tell, and keep a checkpoint."""
+"""The training loop: push, remember, learn, tell, evaluate, and keep a checkpoint."""
 
 from __future__ import annotations
 
+import json
 import logging
 import time
 from collections.abc import Callable
 from contextlib import closing
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
 import torch
+from tensordict import TensorDictBase
 
 from sdfgcn.agents.policy import save_policy
-from sdfgcn.config import Config
+from sdfgcn.config import Config, EnvConfig
 from sdfgcn.config.diff import differences, flat
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import write_json
 from sdfgcn.loggers import Logger
-from sdfgcn.models import Q_NETWORKS, build_q_network
+from sdfgcn.models import build_q_network, q_networks
 from sdfgcn.models.q_network import QNetwork
-from sdfgcn.models.sdf_cnn import SdfCnn
 from sdfgcn.objects.catalogue import load_catalogue
-from sdfgcn.train.actors import Actors, ActorsPlan, build_actors, training_env
+from sdfgcn.push_space import PushSpace
 from sdfgcn.train.checkpoint import NAME, checkpoint_config, load_checkpoint, save_checkpoint
-from sdfgcn.train.curriculum import Counts, Curriculum
+from sdfgcn.train.collectors import CollectorSpec, build_collector
+from sdfgcn.train.curriculum import Curriculum, ObjectCountSampler
+from sdfgcn.train.exploration import EpsilonGreedyPolicy
+from sdfgcn.train.held_out import Evaluate, HeldOutCurve
 from sdfgcn.train.hindsight import Hindsight
-from sdfgcn.train.learner import Explorer, Learner
+from sdfgcn.train.learner import Learner
 from sdfgcn.train.progress import Progress
-from sdfgcn.train.replay import build_replay, transitions
+from sdfgcn.train.replay import Replay
 
-# Builds a network from the whole config and the number of slots that it is trained with.
+# Builds a network from the whole config and the number of rows that it is trained with.
 BuildNetwork = Callable[[Config, int], QNetwork]
 # Takes the network, on the CPU, whenever there is a new checkpoint.
 KeepNetwork = Callable[[QNetwork], None]
 
 # Parts of the config that change what is learned; the rest may differ when a training goes on.
-_LEARNING = ("seed", "n_objects", "env", "model", "train", "curriculum", "her", "augment")
-_FREE = {
-    "env": ("split", "robot", "scenario.max_tries", "pushes_per_object"),
-    "train": ("log_pushes", "checkpoint_minutes", "sdf_cache"),
-}
+_LEARNING = ("seed", "n_objects", "model", "train", "curriculum", "her", "augment")
+_FREE = tuple(
+    f"train.{key}"
+    for key in (
+        *("log_pushes", "checkpoint_minutes", "sdf_cache", "eval_pushes", "eval_episodes"),
+        "env.scenario.max_tries",
+    )
+)
 
 
 def train(
@@ -49,6 +57,7 @@ def train(
     logger: Logger,
     build_network: BuildNetwork,
     keep_network: KeepNetwork = lambda network: None,
+    evaluate: Evaluate | None = None,
 ) -> QNetwork:
     """Train a Q-network; where the folder holds a checkpoint, go on from it.
 
@@ -60,6 +69,7 @@ def train(
         logger: Takes running figures.
         build_network: Makes the network before its first update.
         keep_network: Takes the network, as it is returned, with each checkpoint.
+        evaluate: Plays held-out episodes every `train.eval_pushes`.
 
     Returns:
         The trained network, with the average of its weights over the last updates, on the CPU.
@@ -73,14 +83,19 @@ def train(
         torch.set_num_threads(config.runtime.torch_threads)
         torch.manual_seed(config.seed)
         try:
-            with closing(Training(config, folder, logger, build_network, keep_network)) as training:
-                training.run()
-                return training.averaged
+            curve = HeldOutCurve(folder, logger, config.train.eval_pushes, evaluate)
+            with closing(
+                Trainer(config, folder, logger, build_network, keep_network, curve)
+            ) as trainer:
+                trainer.run()
+                return trainer.averaged
         finally:
             torch.set_num_threads(threads)
 
 
-def train_policy(config: Config, folder: Path, policy: Path, logger: Logger) -> None:
+def train_policy(
+    config: Config, folder: Path, policy: Path, logger: Logger, evaluate: Evaluate | None = None
+) -> None:
     """Train the Q-network that the config names, and write it as a policy.
 
     The policy is there from the first checkpoint on; until the training has ended, its `budget`
@@ -91,29 +106,34 @@ def train_policy(config: Config, folder: Path, policy: Path, logger: Logger) -> 
         folder: The run folder.
         policy: Where the policy goes.
         logger: Takes running figures.
+        evaluate: Plays held-out episodes every `train.eval_pushes`.
 
     Raises:
         SdfgcnError: See `train`.
     """
-    load_catalogue(config.env.objects, config.train.split)  # before actors would each do it
-    slots = training_slots(config, Counts(config.curriculum, config.n_objects))
+    env = config.train.env
+    load_catalogue(env.objects, env.split)  # before processes that push would each do it
+    rows = training_env(config, ObjectCountSampler(config.curriculum, config.n_objects)).max_objects
     about = {"seed": config.seed, "training": learning_config(config)}
+    kind = (config.model, env.push.directions, rows, env.arena.image_size)
 
     def keep(network: QNetwork, budget: dict[str, Any] | None) -> None:
-        told = {"budget": budget, **about}
-        save_policy(policy, network, config.model, slots, config.env.arena.image_size, told)
+        save_policy(policy, network, *kind, {"budget": budget, **about})
 
-    network = train(config, folder, logger, q_network, partial(keep, budget=None))
+    network = train(config, folder, logger, q_network, partial(keep, budget=None), evaluate)
     keep(network, asdict(config.budget))
 
 
-def q_network(config: Config, max_objects: int) -> QNetwork:
+def q_network(config: Config, rows: int) -> QNetwork:
     """The untrained network that the config names."""
-    return build_q_network(config.model, max_objects, config.env.arena.image_size, config.seed)
+    env = config.train.env
+    return build_q_network(
+        config.model, env.push.directions, rows, env.arena.image_size, config.seed
+    )
 
 
-class Training:
-    """Everything that one training holds."""
+class Trainer:
+    """Everything that one training holds, and its loop."""
 
     def __init__(
         self,
@@ -122,34 +142,35 @@ class Training:
         logger: Logger,
         build_network: BuildNetwork,
         keep_network: KeepNetwork,
+        curve: HeldOutCurve,
     ) -> None:
         """Build all parts, and load the checkpoint if there is one; see `train`."""
-        self._config = config
-        self._checkpoint = folder / NAME
+        self._config, self._folder = config, folder
         self._keep_network = keep_network
-        counts = Counts(config.curriculum, config.n_objects)
-        slots = training_slots(config, counts)
-        env = training_env(config, counts, slots)
-        train = config.train
-        self.network = build_network(config, slots)
-        self._learner = Learner(self.network, slots, train, config.runtime.device)
-        self._explorer = Explorer(self.network, slots, train, config.budget.epsilon_pushes)
-        self._replay = build_replay(config)
+        counts = ObjectCountSampler(config.curriculum, config.n_objects)
+        env = training_env(config, counts)
+        actions = PushSpace(env.push, env.arena).spec(env.max_objects)
+        self.network = build_network(config, env.max_objects)
+        self._learner = Learner(self.network, actions, config.train, config.runtime.device)
+        self._policy = EpsilonGreedyPolicy(
+            self.network, actions, config.train, config.budget.epsilon_pushes
+        )
+        self._replay = Replay(config)
         self._hindsight = Hindsight(config.her, env)
-        self._counts = counts
         self._curriculum = Curriculum(config.curriculum, counts)
-        self._progress = Progress(folder, logger, train.log_pushes)
-        self._kept: dict[str, Any] = {}  # of the actors
+        self._progress = Progress(folder, logger, config.train.log_pushes)
+        self._curve = curve
+        self._collector_state: dict[str, Any] = {}
         self._load()
         with torch.random.fork_rng():  # else a training that goes on would draw other numbers
-            self._actors: Actors = build_actors(
-                ActorsPlan(
+            self._collector = build_collector(
+                CollectorSpec(
                     config,
                     env,
                     counts,
-                    self._explorer.policy,
+                    self._policy.module,
                     self._progress.pushes,
-                    dict(self._kept),
+                    dict(self._collector_state),
                 )
             )
         self._saved = time.monotonic()
@@ -158,9 +179,13 @@ class Training:
         """Train to the end of the budget."""
         self._progress.open(self._config.budget.pushes, self._config.budget.minutes)
         while not self._finished():
-            self._push()
+            collected = self._collector.collect(meanwhile=self._update_within_limit)
+            self._remember(collected)
             self._learn()
-            self._progress.tell(self._explorer.epsilon, self._counts.newest)
+            self._progress.tell(
+                self._learner.updates, self._policy.epsilon, self._curriculum.newest
+            )
+            self._curve.pushed(self._progress.pushes, lambda: self.averaged)
             if time.monotonic() - self._saved > 60.0 * self._config.train.checkpoint_minutes:
                 self._save()
         self._save()
@@ -171,9 +196,9 @@ class Training:
         return cast(QNetwork, self._learner.averaged)
 
     def close(self) -> None:
-        """End the actors and the live line."""
+        """End the collector and the live line."""
         self._progress.close()
-        self._actors.close()
+        self._collector.close()
 
     # ------------------------------------------------------------------ the loop's parts
 
@@ -182,85 +207,95 @@ class Training:
         late = budget.minutes is not None and self._progress.seconds > 60.0 * budget.minutes
         return late or self._progress.pushes >= budget.pushes
 
-    def _push(self) -> None:
-        """Take the next pushes into the replay buffer, and learn while they are made."""
-        collected = self._actors.collect(meanwhile=self._update_within_limit)
+    def _remember(self, collected: TensorDictBase) -> None:
+        """Take [T] pushes into the replay buffer, once as they were and once in hindsight."""
         self._progress.pushed(collected)
-        self._explorer.pushed(len(collected))
-        outcome = collected["next"]
-        for i in outcome["done"].squeeze(-1).nonzero().squeeze(-1).tolist():
-            n_objects = int((collected["goal_position"][i] != 0.0).any(dim=-1).sum())
-            self._curriculum.episode_ended(n_objects, bool(outcome["success"][i]))
-        self._replay.extend(transitions(collected))
-        relabelled = self._hindsight(collected)
-        if relabelled is not None:
-            self._replay.extend(transitions(relabelled))
+        self._policy.pushed(len(collected))
+        self._curriculum.pushed(collected)
+        transitions = self._replay.stored(collected)
+        self._replay.extend(transitions)
+        self._replay.extend(self._hindsight(transitions, collected["collector", "traj_ids"]))
 
     def _learn(self) -> None:
-        """Do the updates that are due, and hand the weights to the actors."""
-        while self._learner.updates < self._due(self._config.train.updates_per_push):
+        """Do the updates that are due, and hand the weights to the collector."""
+        while self._learner.updates < self._due(self._config.train.utd_ratio):
             self._update()
-        self._explorer.follow(self.network)
-        self._actors.publish()
+        self._policy.load_weights(self.network)
+        self._collector.update_policy_weights()
 
-    def _due(self, updates_per_push: float) -> int:
-        train = self._config.train
-        return int(updates_per_push * max(self._progress.pushes - train.learning_starts, 0))
+    def _due(self, utd_ratio: float) -> int:
+        late = self._progress.pushes - self._config.train.learning_starts
+        return int(utd_ratio * max(late, 0))
 
     def _update_within_limit(self) -> bool:
-        """Update if the actors' pushes allow another; return whether they do."""
-        if self._learner.updates >= self._due(self._config.train.max_updates_per_push):
+        """Update if the pushes so far allow another; return whether they do."""
+        if self._learner.updates >= self._due(self._config.train.max_utd_ratio):
             return False
         self._update()
         return True
 
     def _update(self) -> None:
         batch = self._replay.sample()
-        if self._learner.updates == 0:
-            self._learner.choose_precision(self._config.runtime.precision, batch)
+        if self._learner.precision is None:
+            self._choose_precision(batch)
         self._progress.updated(self._learner.update(batch))
+
+    def _choose_precision(self, batch: TensorDictBase) -> None:
+        """Choose it once a run folder: what is faster today may not be tomorrow."""
+        wanted, kept = self._config.runtime.precision, self._folder / "precision.json"
+        if wanted == "auto" and kept.exists():
+            wanted = json.loads(kept.read_text(encoding="utf-8"))["precision"]
+        chosen = self._learner.choose_precision(wanted, batch)
+        if self._config.runtime.precision == "auto":
+            write_json(kept, {"precision": chosen})
 
     # ------------------------------------------------------------------ checkpoints
 
     def _parts(self) -> dict[str, Any]:
         return {
             "learner": self._learner,
-            "explorer": self._explorer,
-            "replay": self._replay,
+            "policy": self._policy,
+            "replay": self._replay.buffer,
+            "hindsight": self._hindsight,
             "curriculum": self._curriculum,
             "progress": self._progress,
-            "actors": self._kept,
+            "collector": self._collector_state,
         }
 
     def _save(self) -> None:
-        self._kept.clear()
-        self._kept.update(self._actors.state())
-        save_checkpoint(self._checkpoint, self._parts(), learning_config(self._config))
+        self._collector_state.clear()
+        self._collector_state.update(self._collector.state())
+        save_checkpoint(self._folder / NAME, self._parts(), learning_config(self._config))
         self._keep_network(self.averaged)
         self._saved = time.monotonic()
 
     def _load(self) -> None:
-        if not self._checkpoint.exists():
-            return
-        check_same_learning(self._checkpoint, self._config)
-        load_checkpoint(self._checkpoint, self._parts())
-        self._explorer.follow(self.network)
-        if not self._kept:
-            self._progress.new_episodes()
+        if (self._folder / NAME).exists():
+            check_same_learning(self._folder / NAME, self._config)
+            load_checkpoint(self._folder / NAME, self._parts())
+            self._policy.load_weights(self.network)
+            if not self._collector_state:
+                self._progress.forget_episode()
+                self._hindsight.forget_episode()
+        self._curve.go_on_from(self._progress.pushes)
 
 
-def training_slots(config: Config, counts: Counts) -> int:
-    """To how many objects observations are padded: no more than needed, where the model allows."""
-    fixed = Q_NETWORKS[config.model.name] is SdfCnn
-    return config.env.max_objects if fixed else max(counts.counts)
+def training_env(config: Config, counts: ObjectCountSampler) -> EnvConfig:
+    """The training env with as many rows as are needed, where the network allows any number.
+
+    Args:
+        config: The whole experiment.
+        counts: The numbers of objects.
+    """
+    env, most = config.train.env, max(counts.counts)
+    fixed = q_networks()[config.model.name].fixed_rows
+    return replace(env, n_objects=most, max_objects=env.max_objects if fixed else most)
 
 
 def learning_config(config: Config) -> dict[str, Any]:
     """What of a config changes what is learned, flat, as JSON knows it."""
-    values = asdict(config)
-    learning = flat({part: values[part] for part in _LEARNING})
-    free = tuple(f"{part}.{key}" for part, keys in _FREE.items() for key in keys)
-    return {key: value for key, value in learning.items() if not key.startswith(free)}
+    values = {part: value for part, value in asdict(config).items() if part in _LEARNING}
+    return {key: value for key, value in flat(values).items() if not key.startswith(_FREE)}
 
 
 def check_same_learning(path: Path, config: Config) -> None:
@@ -269,9 +304,9 @@ def check_same_learning(path: Path, config: Config) -> None:
     Raises:
         SdfgcnError: It does not; names the keys that differ.
     """
-    differing = differences(checkpoint_config(path), learning_config(config))
-    if differing:
+    told = differences(checkpoint_config(path), learning_config(config))
+    if told:
         raise SdfgcnError(
-            f"{path} is of another training, which differs in {differing}; use the same values or "
+            f"{path} is of another training, which differs in {told}; use the same values or "
             "another hydra.run.dir."
         )
