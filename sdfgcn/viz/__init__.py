@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Protocol, Self
 
 if TYPE_CHECKING:
     from sdfgcn.config import EnvConfig
-    from sdfgcn.envs.types import EpisodeStart, StepRecord
+    from sdfgcn.envs.records import EpisodeStart, StepRecord
 
 
 class Recorder(Protocol):
