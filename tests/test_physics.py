@@ -12,7 +12,7 @@ from toys import BALL, BOX, CAN, TOYS, act, begin, lay_out
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.sim.episode import draw_episode
 from sdfgcn.sim.props import rolls
-from sdfgcn.sim.robots import ROBOTS
+from sdfgcn.registry import ROBOTS
 
 GRAVITY = 9.81
 PUSHES = {"gripper": 12, "ur5e": 6}  # for each number of objects

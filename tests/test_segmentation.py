@@ -17,7 +17,7 @@ from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.perception import dataset, ucn_training
 from sdfgcn.perception.metrics import match_masks, score_masks
 from sdfgcn.perception.segmentation_scores import SceneView, shifted_look, summary, views
-from sdfgcn.perception.segmenters import SEGMENTERS
+from sdfgcn.registry import SEGMENTERS
 from sdfgcn.perception.segmenters.clustering import cluster, masks_of
 from sdfgcn.perception.segmenters.loss import clustering_loss
 from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
@@ -39,7 +39,7 @@ def household() -> list[SceneView]:
 
 @pytest.fixture(scope="module", params=sorted(SEGMENTERS))
 def segmenter(request: pytest.FixtureRequest):
-    return lookup(SEGMENTERS, "segmentation", request.param)(config_of(request.param))
+    return SEGMENTERS.find(request.param)(config_of(request.param))
 
 
 # ---------------------------------------------------------------------- every segmenter

@@ -13,7 +13,7 @@ from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.geometry.camera import camera_model
 from sdfgcn.sim.arena import CAMERA, GROUP_SCENE
 from sdfgcn.sim.episode import draw_episode
-from sdfgcn.sim.robots import ROBOTS
+from sdfgcn.registry import ROBOTS
 
 
 @pytest.fixture(scope="module", params=sorted(ROBOTS))

@@ -19,9 +19,9 @@ from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
 from sdfgcn.geometry.camera import camera_model
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.perception.perception import detected
-from sdfgcn.perception.perceptions import PERCEPTIONS
 from sdfgcn.perception.push_start import PushPlanner
 from sdfgcn.perception.sdf import SDF_METHODS, signed_distances
+from sdfgcn.registry import PERCEPTIONS
 from sdfgcn.sim.episode import Episode, draw_episode
 from sdfgcn.sim.renderer import Renderer
 from sdfgcn.sim.task import RearrangementTask

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdfgcn.perception.perception import Perception, View
+from sdfgcn.registry import PERCEPTIONS
 
 
 def oracle_masks(geom_ids: NDArray[np.int64], slot_of_geom: NDArray, n: int) -> NDArray[np.bool_]:
@@ -23,6 +24,7 @@ def oracle_masks(geom_ids: NDArray[np.int64], slot_of_geom: NDArray, n: int) -> 
     return slot_of_geom[geom_ids] == np.arange(n)[:, None, None]
 
 
+@PERCEPTIONS.register("oracle")
 class OraclePerception(Perception):
     """Row i is the episode's object i, in both pictures."""
 

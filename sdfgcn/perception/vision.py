@@ -5,12 +5,13 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from sdfgcn.config import PerceptionConfig, lookup
+from sdfgcn.config import PerceptionConfig
 from sdfgcn.perception.matching import Matcher
 from sdfgcn.perception.perception import Perception, View
-from sdfgcn.perception.segmenters import SEGMENTERS
+from sdfgcn.registry import PERCEPTIONS, SEGMENTERS
 
 
+@PERCEPTIONS.register("vision")
 class VisionPerception(Perception):
     """Segments both pictures and matches their objects by what they look like.
 
@@ -26,10 +27,7 @@ class VisionPerception(Perception):
             SdfgcnError: There is no such segmenter or encoder, or its weights cannot be had.
         """
         super().__init__(config, max_objects)
-        segmentation = config.segmentation
-        self._segment = lookup(SEGMENTERS, "env.perception.segmentation.name", segmentation.name)(
-            segmentation
-        )
+        self._segment = SEGMENTERS.find(config.segmentation.name)(config.segmentation)
         self._matcher = Matcher(config.encoder)
         self._goal_features = np.zeros((0, self._matcher.n_features), dtype=np.float32)
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sdfgcn.config import N_DIRECTIONS, ArenaConfig, PushConfig
 from sdfgcn.geometry.region import Region
-from sdfgcn.sim.robots import Robot, Unreachable
+from sdfgcn.sim.robots.robot import Robot, Unreachable
 from sdfgcn.sim.types import PushCommand, PushStatus
 
 NEGLIGIBLE = 0.1  # rad/s2 or m/s2 of a drive, for which no feed-forward is worked out
@@ -102,7 +102,7 @@ class PushPrimitive:
 
     def _descend(self, physics: mjcf.Physics, path: _Path) -> bool:
         """Bring the tool down a path that was found free. Returns whether it touched nothing."""
-        if self._robot.jumps:
+        if self._robot.teleports:
             self._robot.place(physics, path.joints[-1])
             return True
         self._robot.place(physics, path.joints[0])

@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from sdfgcn.config import N_DIRECTIONS, EnvConfig
 from sdfgcn.geometry.region import Region
 from sdfgcn.objects.model import ObjectModel
+from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.arena import GROUP_PARKED, GROUP_SCENE, Table
 from sdfgcn.sim.episode import Episode
 from sdfgcn.sim.props import CONAFFINITY_PROP, CONTYPE_PROP, PARKING, Prop
 from sdfgcn.sim.push import PushPrimitive
 from sdfgcn.sim.reward import reward_terms
-from sdfgcn.sim.robots import ROBOTS
 from sdfgcn.sim.types import Push, PushCommand
 
 READY_TO_SLEEP = -1  # to which MuJoCo counts tree_asleep up while a tree lies still

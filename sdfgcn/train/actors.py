@@ -155,7 +155,7 @@ class AsyncActors:
     def __init__(self, plan: ActorsPlan) -> None:
         """Start the processes."""
         config = plan.config
-        workers = max(config.collector.workers, 1)
+        workers = config.collector.workers
         seeds = [_seed(config.seed, worker, plan.pushes) for worker in range(workers)]
         self._collector = MultiAsyncCollector(
             [_env_in_worker] * workers,
@@ -216,13 +216,7 @@ def training_env(config: Config, counts: Counts, max_objects: int) -> EnvConfig:
         max_objects: Slots that observations are padded to.
     """
     return replace(
-        config.env,
-        n_objects=max(counts.counts),
-        max_objects=max_objects,
-        split=config.train.split,
-        pushes_per_object=config.train.pushes_per_object,
-        robot=config.train.robot,
-        pixels=False,
+        config.train.env, n_objects=max(counts.counts), max_objects=max_objects
     )
 
 

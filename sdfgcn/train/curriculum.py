@@ -62,7 +62,7 @@ class Curriculum:
             return
         self._recent.append(success)
         full = len(self._recent) == self._config.window
-        if full and np.mean(self._recent) > self._config.bar:
+        if full and np.mean(self._recent) > self._config.success_threshold:
             counts.reached += 1
             self._recent.clear()
 

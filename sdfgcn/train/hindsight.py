@@ -41,7 +41,7 @@ class Hindsight:
         if self._her.name == "off":
             return None
         if self._her.name == "next":
-            return relabelled(collected, collected["next"], self._her.moved, self._env)
+            return relabelled(collected, collected["next"], self._her.min_displacement, self._env)
         return self._future(collected)
 
     def _future(self, collected: TensorDictBase) -> TensorDictBase | None:
@@ -60,7 +60,7 @@ class Hindsight:
         some = []
         for _ in range(self._her.per_push):
             later = torch.arange(n) + (torch.rand(n) * (n - torch.arange(n))).long()
-            some.append(relabelled(episode, episode["next"][later], self._her.moved, self._env))
+            some.append(relabelled(episode, episode["next"][later], self._her.min_displacement, self._env))
         kept = [part for part in some if part is not None]
         return torch.cat(kept) if kept else None
 

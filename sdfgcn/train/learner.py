@@ -65,7 +65,7 @@ class Learner:
         self._optimiser = torch.optim.Adam(self._loss.parameters(), lr=train.learning_rate)
         # Single updates change what a greedy policy does; their average is steadier.
         self._average = AveragedModel(
-            self.network, multi_avg_fn=get_ema_multi_avg_fn(train.averaging)
+            self.network, multi_avg_fn=get_ema_multi_avg_fn(train.ema_decay)
         )
         self.updates = 0
 

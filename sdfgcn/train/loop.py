@@ -35,11 +35,11 @@ BuildNetwork = Callable[[Config, int], QNetwork]
 KeepNetwork = Callable[[QNetwork], None]
 
 # Parts of the config that change what is learned; the rest may differ when a training goes on.
-_LEARNING = ("seed", "n_objects", "env", "model", "train", "curriculum", "her", "augment")
-_FREE = {
-    "env": ("split", "robot", "scenario.max_tries", "pushes_per_object"),
-    "train": ("log_pushes", "checkpoint_minutes", "sdf_cache"),
-}
+_LEARNING = ("seed", "n_objects", "model", "train", "curriculum", "her", "augment")
+_FREE = (
+    *("train.log_pushes", "train.checkpoint_minutes", "train.sdf_cache"),
+    *("train.eval_pushes", "train.eval_episodes", "train.env.scenario.max_tries"),
+)
 
 
 def train(
@@ -94,7 +94,7 @@ def train_policy(config: Config, folder: Path, policy: Path, logger: Logger) -> 
     Raises:
         SdfgcnError: See `train`.
     """
-    load_catalogue(config.env.objects, config.train.split)  # before actors would each do it
+    load_catalogue(config.env.objects, config.train.env.split)  # before actors would each do it
     slots = training_slots(config, Counts(config.curriculum, config.n_objects))
     about = {"seed": config.seed, "training": learning_config(config)}
 
@@ -197,18 +197,18 @@ class Training:
 
     def _learn(self) -> None:
         """Do the updates that are due, and hand the weights to the actors."""
-        while self._learner.updates < self._due(self._config.train.updates_per_push):
+        while self._learner.updates < self._due(self._config.train.utd_ratio):
             self._update()
         self._explorer.follow(self.network)
         self._actors.publish()
 
-    def _due(self, updates_per_push: float) -> int:
+    def _due(self, utd_ratio: float) -> int:
         train = self._config.train
-        return int(updates_per_push * max(self._progress.pushes - train.learning_starts, 0))
+        return int(utd_ratio * max(self._progress.pushes - train.learning_starts, 0))
 
     def _update_within_limit(self) -> bool:
         """Update if the actors' pushes allow another; return whether they do."""
-        if self._learner.updates >= self._due(self._config.train.max_updates_per_push):
+        if self._learner.updates >= self._due(self._config.train.max_utd_ratio):
             return False
         self._update()
         return True
@@ -260,8 +260,7 @@ def learning_config(config: Config) -> dict[str, Any]:
     for part in _LEARNING:
         value = getattr(config, part)
         flat |= {part: value} if isinstance(value, int) else _flat(asdict(value), f"{part}.")
-    free = tuple(f"{part}.{key}" for part, keys in _FREE.items() for key in keys)
-    return {key: value for key, value in flat.items() if not key.startswith(free)}
+    return {key: value for key, value in flat.items() if not key.startswith(_FREE)}
 
 
 def check_same_learning(path: Path, config: Config) -> None:
