@@ -10,12 +10,12 @@ from sdfgcn.config import (
     Config,
     ConvModelConfig,
     ModelConfig,
-    ObjectsConfig,
     PoseGcnConfig,
     TrainUCNConfig,
     lookup,
 )
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.registry import OBJECTS
 
 MOTIONS = ("length", "speed", "acceleration", "descent_speed", "lift_speed")  # of env.push
 
@@ -32,6 +32,7 @@ def typed(cfg: DictConfig) -> Config:
     values = OmegaConf.to_container(cfg, resolve=True)
     schema = OmegaConf.structured(Config)
     schema.model = MODEL_CONFIGS.get(cfg.model.name, ModelConfig)
+    schema.env.objects = OBJECTS.config_type(cfg.env.objects.name)
     config = OmegaConf.to_object(OmegaConf.merge(schema, values))
     assert isinstance(config, Config)
     validate(config)
@@ -218,53 +219,6 @@ def _validate_above_zero(**values: float) -> None:
     for key, value in values.items():
         if value <= 0:
             raise SdfgcnError(f"model.{key} is {value}, but must be above 0.")
-
-
-def validate_objects(objects: ObjectsConfig) -> None:
-    """Check the object catalogue's limits against each other.
-
-    Raises:
-        SdfgcnError: One sentence that names the key, the value seen and what would work.
-    """
-    for low, high in (("footprint_min", "footprint_max"), ("mass_min", "mass_max")):
-        smallest, largest = getattr(objects, low), getattr(objects, high)
-        if not 0 < smallest < largest:
-            raise SdfgcnError(
-                f"env.objects.{low} is {smallest} and env.objects.{high} is {largest}, but the "
-                f"first must be above 0 and below the second."
-            )
-    for key in ("height_max", "thickness_min", "density", "settle_seconds", "settle_speed"):
-        if getattr(objects, key) <= 0:
-            raise SdfgcnError(f"env.objects.{key} is {getattr(objects, key)}, but must be above 0.")
-    smallest_counts = {
-        "max_faces": 100,
-        "max_pieces": 1,
-        "max_piece_vertices": 8,
-        "texture_size": 1,
-        "settle_drops": 1,
-    }
-    for key, least in smallest_counts.items():
-        if getattr(objects, key) < least:
-            raise SdfgcnError(
-                f"env.objects.{key} is {getattr(objects, key)}, but must be at least {least}."
-            )
-    if not 0 <= objects.settle_min_probability < 1:
-        raise SdfgcnError(
-            f"env.objects.settle_min_probability is {objects.settle_min_probability}, but must be "
-            "at least 0 and below 1."
-        )
-    if len(objects.settle_friction) != 3:
-        raise SdfgcnError(
-            f"env.objects.settle_friction is {objects.settle_friction}, but must hold three "
-            "numbers: sliding, torsional and rolling friction."
-        )
-    if not objects.palette or any(
-        len(colour) != 3 or not all(0 <= part <= 1 for part in colour) for colour in objects.palette
-    ):
-        raise SdfgcnError(
-            f"env.objects.palette is {objects.palette}, but must list colours of three numbers "
-            "between 0 and 1 (red, green, blue)."
-        )
 
 
 def validate_train_ucn(config: TrainUCNConfig) -> None:

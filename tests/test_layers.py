@@ -12,10 +12,10 @@ from omegaconf import OmegaConf
 
 from sdfgcn.agents import MODELS
 from sdfgcn.loggers import LOGGERS
-from sdfgcn.objects.catalogue import SOURCES
 from sdfgcn.perception.encoders import ENCODERS
 from sdfgcn.perception.perceptions import PERCEPTIONS
 from sdfgcn.perception.segmenters import SEGMENTERS
+from sdfgcn.registry import OBJECTS
 from sdfgcn.sim.robots import ROBOTS
 from sdfgcn.sim.scenarios import SCENARIOS
 from sdfgcn.viz import RECORDERS
@@ -51,7 +51,7 @@ LAYERS = (
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 
 # Each only in the folder that needs it.
-OPTIONAL = {"rerun": "viz", "trimesh": "objects", "coacd": "objects"}
+OPTIONAL = {"rerun": "viz", "trimesh": "sources", "coacd": "sources"}
 
 # Loaded only by what needs them; torch takes seconds, and MuJoCo fails to load without OpenGL.
 LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "mujoco", "dm_control", "statsmodels")
@@ -60,7 +60,7 @@ REGISTRIES = {
     "encoder": ENCODERS,
     "logger": LOGGERS,
     "model": MODELS,
-    "objects": SOURCES,
+    "objects": OBJECTS,
     "perception": PERCEPTIONS,
     "robot": ROBOTS,
     "scenario": SCENARIOS,

@@ -10,10 +10,11 @@ from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from sdfgcn.config import SPLITS, ObjectsConfig
-from sdfgcn.objects.catalogue import SOURCES, catalogue_folder, load_catalogue
+from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
 from sdfgcn.objects.contact_sheet import read_config
 from sdfgcn.objects.fetch import scans_dir
 from sdfgcn.objects.model import ObjectModel
+from sdfgcn.registry import OBJECTS
 
 EPS = 1e-5  # metres; vertices are float32
 HOLLOW = {  # share of the hull that the pieces may fill
@@ -180,5 +181,5 @@ def compiled(model: ObjectModel) -> mujoco.MjModel:
 
 
 def test_every_source_has_a_config():
-    for name in SOURCES:
+    for name in OBJECTS:
         assert read_config([f"objects={name}"]).name == name

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.objects import catalogue, fetch, household
-from sdfgcn.objects.catalogue import Source, catalogue_folder, load_catalogue
+from sdfgcn.objects import catalogue, fetch
+from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
 from sdfgcn.objects.contact_sheet import main, read_config
+from sdfgcn.objects.sources import household
 from sdfgcn.objects.storage import MANIFEST, new_folder
 
 
@@ -24,9 +25,10 @@ def base():
 def cfg(base, tmp_path, monkeypatch):
     """Three household objects and few drops, in a cache of their own."""
     monkeypatch.setenv("SDFGCN_CACHE", str(tmp_path / "cache"))
-    few = ("book_1", "ring_1", "car_1")
-    source = Source(lambda cfg: [r for r in household.recipes(cfg) if r.name in few])
-    monkeypatch.setitem(catalogue.SOURCES, "household", source)
+    for table, categories in (("TRAIN", ("book", "ring")), ("TEST", ("car",))):
+        kept = {name: getattr(household, table)[name] for name in categories}
+        first = {name: (draw, variants[:1]) for name, (draw, variants) in kept.items()}
+        monkeypatch.setattr(household, table, first)
     return dataclasses.replace(base, settle_drops=6)
 
 

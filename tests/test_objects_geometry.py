@@ -17,8 +17,8 @@ from sdfgcn.objects.convex import (
 )
 from sdfgcn.objects.meshes import decimate, mesh_volume, weld
 from sdfgcn.objects.primitives import box, circle, join, prism, turned_solid, turned_vessel
-from sdfgcn.objects.resting import find_rests
-from sdfgcn.objects.scanned import read_msh, read_stl
+from sdfgcn.objects.resting import components, find_rests
+from sdfgcn.objects.sources.scanned import read_msh, read_stl
 
 
 def test_compound_of_two_boxes():
@@ -82,6 +82,13 @@ def test_decimation_keeps_a_box_sharp():
     assert 300 < len(few) <= 1000
     assert mesh_volume(small, few) == pytest.approx(1.0, abs=1e-3)
     np.testing.assert_allclose(np.ptp(small, axis=0), 1.0, atol=1e-6)
+
+
+def test_linked_poses_are_grouped_in_order_of_their_first_member():
+    linked = np.eye(6, dtype=bool)
+    for one, other in ((0, 3), (3, 5), (1, 4)):
+        linked[one, other] = linked[other, one] = True
+    assert components(linked) == [[0, 3, 5], [1, 4], [2]]
 
 
 def test_decimation_keeps_uv_with_the_vertices():

@@ -10,7 +10,7 @@ import pytest
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
 from sdfgcn.objects.contact_sheet import read_config
-from sdfgcn.objects.shapenet import divided, find_meshes
+from sdfgcn.objects.sources.shapenet import divided, find_meshes
 
 
 @pytest.fixture(scope="module")

@@ -36,8 +36,55 @@ class ObjectsConfig(ComponentConfig):
     settle_min_probability: float = MISSING
     settle_min_tilt: float = MISSING
     palette: list[list[float]] = MISSING
-    root: str | None = None
-    split_file: str | None = None
+
+    def check(self, config: Config) -> None:
+        """See `check_limits`, which needs nothing else of the config."""
+        self.check_limits()
+
+    def check_limits(self) -> None:
+        """Check the catalogue's limits, alone and against each other.
+
+        Raises:
+            SdfgcnError: One sentence that names the key, the value seen and what would work.
+        """
+        for low, high in (("footprint_min", "footprint_max"), ("mass_min", "mass_max")):
+            smallest, largest = getattr(self, low), getattr(self, high)
+            if not 0 < smallest < largest:
+                raise SdfgcnError(
+                    f"env.objects.{low} is {smallest} and env.objects.{high} is {largest}, but the "
+                    f"first must be above 0 and below the second."
+                )
+        for key in ("height_max", "thickness_min", "density", "settle_seconds", "settle_speed"):
+            value = getattr(self, key)
+            if value <= 0:
+                raise SdfgcnError(f"env.objects.{key} is {value}, but must be above 0.")
+        for key, least in (
+            ("max_faces", 100),
+            ("max_pieces", 1),
+            ("max_piece_vertices", 8),
+            ("texture_size", 1),
+            ("settle_drops", 1),
+        ):
+            value = getattr(self, key)
+            if value < least:
+                raise SdfgcnError(f"env.objects.{key} is {value}, but must be at least {least}.")
+        if not 0 <= self.settle_min_probability < 1:
+            raise SdfgcnError(
+                f"env.objects.settle_min_probability is {self.settle_min_probability}, but must be "
+                "at least 0 and below 1."
+            )
+        if len(self.settle_friction) != 3:
+            raise SdfgcnError(
+                f"env.objects.settle_friction is {self.settle_friction}, but must hold three "
+                "numbers: sliding, torsional and rolling friction."
+            )
+        if not self.palette or not all(
+            len(colour) == 3 and all(0 <= part <= 1 for part in colour) for colour in self.palette
+        ):
+            raise SdfgcnError(
+                f"env.objects.palette is {self.palette}, but must list colours of three numbers "
+                "between 0 and 1 (red, green, blue)."
+            )
 
 
 @dataclass

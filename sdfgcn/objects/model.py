@@ -1,14 +1,18 @@
-"""What a catalogue holds: object models and the poses in which they rest."""
+"""What a catalogue holds, object models and their resting poses, and what a source provides."""
 
 from __future__ import annotations
 
 import functools
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
+
+from sdfgcn.config import ObjectsConfig
 
 
 @dataclass(frozen=True)
@@ -96,3 +100,27 @@ class Recipe:
     category: str
     split: str
     build: Callable[[], Shape]
+
+
+def _no_fingerprint(cfg: ObjectsConfig) -> str:
+    return ""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where objects come from; `sdfgcn/objects/sources/` registers each by name.
+
+    Attributes:
+        recipes: Lists every object of both splits; may download. Called only to build a cache.
+        fingerprint: Text that changes when the same settings would give other objects.
+        lenient: Leave out an object that cannot be built, with a warning, instead of failing.
+    """
+
+    recipes: Callable[[Any], list[Recipe]]  # takes the source's own subclass of ObjectsConfig
+    fingerprint: Callable[[Any], str] = _no_fingerprint
+    lenient: bool = False
+
+
+def name_generator(name: str) -> np.random.Generator:
+    """Return a generator that depends on the object's name alone, so that builds agree."""
+    return np.random.default_rng(int.from_bytes(hashlib.sha256(name.encode()).digest()[:8]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +13,7 @@ from sdfgcn.config import ObjectsConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.convex import compound_volume_centroid, diameter, hull_vertices, merge_pieces
 from sdfgcn.objects.meshes import decimate
-from sdfgcn.objects.model import ObjectModel, Recipe, Shape
+from sdfgcn.objects.model import ObjectModel, Recipe, Shape, name_generator
 from sdfgcn.objects.resting import Pose, find_rests, tipping_angle, to_rest
 
 
@@ -50,11 +49,6 @@ def prepare(recipe: Recipe, cfg: ObjectsConfig) -> ObjectModel:
             break
         shape = _thickened(shape, thin.down, 1.02 * cfg.thickness_min / (thin.top * scale))
     return _model(recipe, _scaled(shape, scale), _within_limits(poses, scale, cfg), scale, cfg)
-
-
-def name_generator(name: str) -> np.random.Generator:
-    """Return a generator that depends on the object's name alone, so that builds agree."""
-    return np.random.default_rng(int.from_bytes(hashlib.sha256(name.encode()).digest()[:8]))
 
 
 def _reduced(shape: Shape, cfg: ObjectsConfig) -> Shape:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
@@ -130,8 +131,8 @@ def _group(
     close = np.arccos(np.clip(down @ down.T, -1, 1)) < SAME_FACE
     size = np.linalg.norm(points, axis=1).max()
     alike = np.linalg.norm(signature[:, None] - signature, axis=2) < 0.04 * size
-    faces = _components(close & alike)
-    families = _components(alike)
+    faces = components(close & alike)
+    families = components(alike)
     kept: list[tuple[int, float]] = []
     for family in families:
         share = len(family) / len(settled)
@@ -154,21 +155,10 @@ def _signature(rotation: Rotation, points: NDArray) -> NDArray:
     return np.array([-turned[:, 2].min(), turned[:, 2].max(), *spread])
 
 
-def _components(linked: NDArray) -> list[list[int]]:
+def components(linked: NDArray) -> list[list[int]]:
     """Connected groups of a symmetric boolean matrix [n, n], in order of their first member."""
-    groups: list[list[int]] = []
-    free = set(range(len(linked)))
-    while free:
-        queue = [min(free)]
-        group: list[int] = []
-        while queue:
-            index = queue.pop()
-            if index in free:
-                free.remove(index)
-                group.append(index)
-                queue += [int(k) for k in np.flatnonzero(linked[index]) if k in free]
-        groups.append(sorted(group))
-    return groups
+    count, labels = connected_components(linked, directed=False)
+    return sorted(np.flatnonzero(labels == label).tolist() for label in range(count))
 
 
 def _middle(face: list[int], down: NDArray) -> int:

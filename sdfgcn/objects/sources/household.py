@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from sdfgcn.config import ObjectsConfig
-from sdfgcn.objects.model import Recipe, Shape
+from sdfgcn.objects.model import Recipe, Shape, Source
 from sdfgcn.objects.primitives import (
     Part,
     arc_path,
@@ -21,6 +21,7 @@ from sdfgcn.objects.primitives import (
     turned_solid,
     turned_vessel,
 )
+from sdfgcn.registry import OBJECTS
 
 # ruff: noqa: D103 - each function below draws the object it is named after, lengths in metres
 
@@ -229,3 +230,6 @@ def recipes(cfg: ObjectsConfig) -> list[Recipe]:
 def _shape(draw: Callable[..., Part], measures: tuple[float, ...]) -> Shape:
     part = draw(*measures)
     return Shape(part.vertices, part.faces, part.pieces)
+
+
+OBJECTS.register("household")(Source(recipes))

@@ -31,12 +31,25 @@ from yaml import YAMLError
 
 from sdfgcn.config import SPLITS, ObjectsConfig
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.objects.model import Recipe, Shape
-from sdfgcn.objects.prepare import name_generator
+from sdfgcn.objects.model import Recipe, Shape, Source, name_generator
 from sdfgcn.objects.storage import cache_dir, new_folder
+from sdfgcn.registry import OBJECTS
 
 SUFFIXES = (".obj", ".glb", ".stl")
 TEST_SHARE = 1 / 3  # of the categories, where no split file says otherwise
+
+
+@dataclass
+class ShapenetConfig(ObjectsConfig):
+    """Settings of `conf/objects/shapenet.yaml`.
+
+    Attributes:
+        root: The directory of meshes.
+        split_file: YAML file with the lists train and test; None splits by category or name.
+    """
+
+    root: str | None = None
+    split_file: str | None = None
 
 
 @dataclass(frozen=True)
@@ -49,7 +62,7 @@ class MeshFile:
     category: str
 
 
-def recipes(cfg: ObjectsConfig) -> list[Recipe]:
+def recipes(cfg: ShapenetConfig) -> list[Recipe]:
     """Return a recipe for every mesh that belongs to a split.
 
     Raises:
@@ -67,7 +80,7 @@ def recipes(cfg: ObjectsConfig) -> list[Recipe]:
     ]
 
 
-def fingerprint(cfg: ObjectsConfig) -> str:
+def fingerprint(cfg: ShapenetConfig) -> str:
     """Return text that changes with the root, its mesh files and the split file."""
     stats = [(file.relative, file.path.stat()) for file in find_meshes(_root(cfg))]
     lines = [str(_root(cfg).resolve())]
@@ -75,6 +88,9 @@ def fingerprint(cfg: ObjectsConfig) -> str:
     if cfg.split_file:
         lines.append(_split_text(cfg.split_file))
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+OBJECTS.register("shapenet", config=ShapenetConfig)(Source(recipes, fingerprint, lenient=True))
 
 
 def find_meshes(root: Path) -> list[MeshFile]:
@@ -113,7 +129,7 @@ def divided(files: list[MeshFile]) -> list[str]:
     return ["test" if key in held_out else "train" for key in keys]
 
 
-def _root(cfg: ObjectsConfig) -> Path:
+def _root(cfg: ShapenetConfig) -> Path:
     if cfg.root is None:
         raise SdfgcnError(
             "objects=shapenet needs a directory of meshes: give it as env.objects.root=PATH."

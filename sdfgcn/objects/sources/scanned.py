@@ -16,7 +16,8 @@ from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.convex import slice_into_hulls
 from sdfgcn.objects.fetch import fetch, scans_dir
 from sdfgcn.objects.meshes import decimate, weld
-from sdfgcn.objects.model import Recipe, Shape
+from sdfgcn.objects.model import Recipe, Shape, Source
+from sdfgcn.registry import OBJECTS
 
 # Category -> names, per split; a category never stands in both.
 TRAIN: dict[str, tuple[str, ...]] = {
@@ -60,6 +61,9 @@ def recipes(cfg: ObjectsConfig) -> list[Recipe]:
         for category, names in table.items()
         for name in names
     ]
+
+
+OBJECTS.register("scanned")(Source(recipes))
 
 
 def read_scan(folder: Path, name: str, cfg: ObjectsConfig) -> Shape:
