@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict, replace
 from typing import Any
 
-from sdfgcn.config import MODEL_CONFIGS, Config, lookup
+from sdfgcn.config import Config, QNetworkConfig, lookup
 from sdfgcn.evaluate import Evaluation, evaluate, watch
 from sdfgcn.loggers import LOGGERS, Logger
 from sdfgcn.opengl import check_opengl
@@ -33,7 +33,7 @@ def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
 
     load_catalogue(config.env.objects, config.env.split)  # once, before workers would each do it
     logger = lookup(LOGGERS, "logger.name", config.logger.name)(folder.path)
-    if config.model.name in (*MODEL_CONFIGS, "released"):
+    if isinstance(config.model, QNetworkConfig):
         config = with_policy(config, folder, logger)
     evaluation = Evaluation(
         config,

@@ -5,17 +5,14 @@ from __future__ import annotations
 from omegaconf import DictConfig, OmegaConf
 
 from sdfgcn.config import (
-    MODEL_CONFIGS,
     SPLITS,
     Config,
-    ConvModelConfig,
-    ModelConfig,
     ObjectsConfig,
-    PoseGcnConfig,
+    QNetworkConfig,
     TrainUCNConfig,
-    lookup,
 )
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.registry import MODELS
 
 MOTIONS = ("length", "speed", "acceleration", "descent_speed", "lift_speed")  # of env.push
 
@@ -24,14 +21,15 @@ def typed(cfg: DictConfig) -> Config:
     """Turn Hydra's config into dataclasses and validate it.
 
     Raises:
-        SdfgcnError: A value is out of its range or contradicts another.
+        SdfgcnError: There is no such model, or a value is out of its range or contradicts
+            another.
         OmegaConfBaseException: A key is unknown, a value is missing or an interpolation leads
             nowhere.
     """
     # Hydra's `+key=value` may have added a key that no dataclass has: merging refuses it.
     values = OmegaConf.to_container(cfg, resolve=True)
     schema = OmegaConf.structured(Config)
-    schema.model = MODEL_CONFIGS.get(cfg.model.name, ModelConfig)
+    schema.model = MODELS.config_type(cfg.model.name)
     config = OmegaConf.to_object(OmegaConf.merge(schema, values))
     assert isinstance(config, Config)
     validate(config)
@@ -86,8 +84,8 @@ def validate(config: Config) -> None:
     ):
         if value < least:
             raise SdfgcnError(f"{key} is {value}, but must be at least {least}.")
-    validate_model(config.model, env.arena.image_size)
-    if config.model.name in MODEL_CONFIGS:
+    config.model.check(config)
+    if isinstance(config.model, QNetworkConfig):
         validate_training(config)
 
 
@@ -159,65 +157,6 @@ def validate_training(config: Config) -> None:
 def _validate_order(lesser: str, low: float, greater: str, high: float) -> None:
     if low > high:
         raise SdfgcnError(f"{lesser} is {low}, but must not be above {greater} ({high}).")
-
-
-def validate_model(model: ModelConfig, image_size: int) -> None:
-    """Check a network's widths against each other and against the picture.
-
-    Args:
-        model: The `model` part of the config.
-        image_size: Height and width of the picture, pixels.
-
-    Raises:
-        SdfgcnError: One sentence that names the key, the value seen and what would work.
-    """
-    if isinstance(model, PoseGcnConfig):
-        _validate_channels("model.channels", model.channels, model.channels)
-        _validate_above_zero(hidden=model.hidden, position_unit=model.position_unit)
-    if not isinstance(model, ConvModelConfig):
-        return
-    width = lookup(model.widths, "model.width", model.width)
-    key = f"model.widths.{model.width}"
-    _validate_channels(f"{key}.channels", width.channels, width.channels)
-    _validate_channels(f"{key}.strides", width.strides, width.channels)
-    _validate_channels(f"{key}.pooling", [width.pooling], [width.channels])
-    _validate_above_zero(
-        **{f"widths.{model.width}.hidden": width.hidden, "sdf_unit": model.sdf_unit}
-    )
-    if conv_sizes(image_size, width.strides, width.pooling)[-1] < 1:
-        raise SdfgcnError(
-            f"{key}.strides {width.strides} and pooling {width.pooling} leave nothing of a picture "
-            f"of env.arena.image_size {image_size}; take smaller ones or a larger picture."
-        )
-
-
-def conv_sizes(image_size: int, strides: list[list[int]], pooling: list[int]) -> list[int]:
-    """Height and width of a picture after each CNN block: padded 3x3 convolutions, then pooling."""
-    sizes = []
-    for block, pool in zip(strides, pooling, strict=True):
-        for stride in block:
-            image_size = (image_size - 1) // stride + 1
-        image_size //= pool
-        sizes.append(image_size)
-    return sizes
-
-
-def _validate_channels(key: str, values: list[list[int]], shape: list[list]) -> None:
-    """Check for whole numbers of at least 1, in as many lists of the same lengths as `shape`."""
-    lengths = [len(block) for block in shape]
-    if not values or [len(block) for block in values] != lengths or min(lengths) < 1:
-        raise SdfgcnError(
-            f"{key} is {values}, but must have an entry for every CNN block and convolution of "
-            f"channels, whose lengths are {lengths}."
-        )
-    if min(min(block) for block in values) < 1:
-        raise SdfgcnError(f"{key} is {values}, but every number must be at least 1.")
-
-
-def _validate_above_zero(**values: float) -> None:
-    for key, value in values.items():
-        if value <= 0:
-            raise SdfgcnError(f"model.{key} is {value}, but must be above 0.")
 
 
 def validate_objects(objects: ObjectsConfig) -> None:

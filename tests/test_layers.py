@@ -10,12 +10,12 @@ import yaml
 from configs import CONF, real_config
 from omegaconf import OmegaConf
 
-from sdfgcn.agents import MODELS
 from sdfgcn.loggers import LOGGERS
 from sdfgcn.objects.catalogue import SOURCES
 from sdfgcn.perception.encoders import ENCODERS
 from sdfgcn.perception.perceptions import PERCEPTIONS
 from sdfgcn.perception.segmenters import SEGMENTERS
+from sdfgcn.registry import MODELS
 from sdfgcn.sim.robots import ROBOTS
 from sdfgcn.sim.scenarios import SCENARIOS
 from sdfgcn.viz import RECORDERS

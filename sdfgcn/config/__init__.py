@@ -26,15 +26,7 @@ from sdfgcn.config.experiment import (
     VizConfig,
     register_schema,
 )
-from sdfgcn.config.model import (
-    MODEL_CONFIGS,
-    ConvGcnConfig,
-    ConvModelConfig,
-    ConvWidthConfig,
-    ModelConfig,
-    PoseGcnConfig,
-    QNetworkConfig,
-)
+from sdfgcn.config.model import ModelConfig, QNetworkConfig
 from sdfgcn.config.train import (
     AugmentConfig,
     BudgetConfig,
@@ -47,7 +39,6 @@ from sdfgcn.config.train import (
 )
 
 __all__ = [
-    "MODEL_CONFIGS",
     "N_DIRECTIONS",
     "SPLITS",
     "ArenaConfig",
@@ -56,9 +47,6 @@ __all__ = [
     "CollectorConfig",
     "ComponentConfig",
     "Config",
-    "ConvGcnConfig",
-    "ConvModelConfig",
-    "ConvWidthConfig",
     "CurriculumConfig",
     "EncoderConfig",
     "EnvConfig",
@@ -69,7 +57,6 @@ __all__ = [
     "ObjectsConfig",
     "PerceptionConfig",
     "PhysicsConfig",
-    "PoseGcnConfig",
     "PushConfig",
     "QNetworkConfig",
     "RewardConfig",
