@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from pictures import enlarged, painted, save_png, sheet
 from tqdm import tqdm
 
-from sdfgcn.config import Config, lookup
+from sdfgcn.config import Config
 from sdfgcn.files import write_text
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.perception.metrics import MaskScores, score_masks
 from sdfgcn.perception.segmentation_scores import SceneView, shifted_look, summary, views
-from sdfgcn.registry import SEGMENTERS
 from sdfgcn.perception.segmenters.ucn import SHIPPED
+from sdfgcn.registry import SEGMENTERS
 from sdfgcn.results import wilson
 
 SCENES = 100  # of each number of objects

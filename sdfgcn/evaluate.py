@@ -1,7 +1,7 @@
 """Playing evaluation episodes, in this process or in parallel ones.
 
-Every episode has its own seed, drawn from the evaluation's seed and the episode's index, and its own
-generator for the agent. So its result does not depend on which process plays it, or when.
+Every episode has its own seed, drawn from the evaluation's seed and the episode's index, and its
+own generator for the agent. So its result does not depend on which process plays it, or when.
 """
 
 from __future__ import annotations

@@ -6,10 +6,9 @@ import json
 from dataclasses import asdict, replace
 from typing import Any
 
-from sdfgcn.config import MODEL_CONFIGS, Config
+from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.evaluate import Evaluation, evaluate, watch
 from sdfgcn.loggers import Logger
-from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.registry import LOGGERS, RECORDERS
 from sdfgcn.results import summarise
 from sdfgcn.runs import RunFolder
@@ -28,9 +27,11 @@ def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
     Raises:
         SdfgcnError: What it needs is not there: the objects, room for a layout.
     """
+    from sdfgcn.objects.catalogue import load_catalogue  # loads MuJoCo: it fails without OpenGL
+
     load_catalogue(config.env.objects, config.env.split)  # once, before workers would each do it
     logger = LOGGERS.find(config.logger.name)(folder.path)
-    if config.model.name in (*MODEL_CONFIGS, "released"):
+    if isinstance(config.model, QNetworkConfig):
         config = with_policy(config, folder, logger)
     evaluation = Evaluation(
         config,

@@ -7,21 +7,20 @@ import numpy as np
 import pytest
 import safetensors.torch
 import torch
-from configs import CONF, real_config
+from configs import real_config
 from dm_control import mjcf
-from hydra import compose, initialize_config_dir
 
-from sdfgcn.config import SegmentationConfig, TrainUCNConfig, lookup
+from sdfgcn.config import SegmentationConfig, TrainUCNConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.perception import dataset, ucn_training
 from sdfgcn.perception.metrics import match_masks, score_masks
 from sdfgcn.perception.segmentation_scores import SceneView, shifted_look, summary, views
-from sdfgcn.registry import SEGMENTERS
 from sdfgcn.perception.segmenters.clustering import cluster, masks_of
 from sdfgcn.perception.segmenters.loss import clustering_loss
 from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
-from sdfgcn.perception.train_ucn import typed
+from sdfgcn.perception.train_ucn import load_config
+from sdfgcn.registry import SEGMENTERS
 from sdfgcn.sim.arena import Table
 from sdfgcn.sim.renderer import Renderer
 
@@ -270,8 +269,7 @@ def training_config(*overrides: str) -> TrainUCNConfig:
         "validation_scenes=1",
         "n_objects=2",
     )
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return typed(compose("train_ucn", [*shrunk, *overrides]))
+    return load_config(*shrunk, *overrides)
 
 
 @pytest.fixture

@@ -9,8 +9,8 @@ from toys import BALL, BOX, CAN, SLAB, lay_out, push
 
 from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.sim.push import direction_angle, direction_vector, ramped
 from sdfgcn.registry import ROBOTS
+from sdfgcn.sim.push import direction_angle, direction_vector, ramped
 from sdfgcn.sim.robots.robot import Unreachable
 
 MIDDLE = np.array([0.02, 0.08])  # metres

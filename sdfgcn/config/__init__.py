@@ -34,15 +34,7 @@ from sdfgcn.config.experiment import (
     RuntimeConfig,
     VizConfig,
 )
-from sdfgcn.config.model import (
-    MODEL_CONFIGS,
-    ConvGcnConfig,
-    ConvModelConfig,
-    ConvWidthConfig,
-    ModelConfig,
-    PoseGcnConfig,
-    QNetworkConfig,
-)
+from sdfgcn.config.model import ModelConfig, QNetworkConfig
 from sdfgcn.config.train import (
     AugmentConfig,
     BudgetConfig,
@@ -55,7 +47,6 @@ from sdfgcn.config.train import (
 )
 
 __all__ = [
-    "MODEL_CONFIGS",
     "N_DIRECTIONS",
     "SPLITS",
     "ArenaConfig",
@@ -64,9 +55,6 @@ __all__ = [
     "CollectorConfig",
     "ComponentConfig",
     "Config",
-    "ConvGcnConfig",
-    "ConvModelConfig",
-    "ConvWidthConfig",
     "CurriculumConfig",
     "EncoderConfig",
     "EnvConfig",
@@ -77,7 +65,6 @@ __all__ = [
     "ObjectsConfig",
     "PerceptionConfig",
     "PhysicsConfig",
-    "PoseGcnConfig",
     "PushConfig",
     "QNetworkConfig",
     "RewardConfig",

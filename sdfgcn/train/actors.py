@@ -215,9 +215,7 @@ def training_env(config: Config, counts: Counts, max_objects: int) -> EnvConfig:
         counts: The numbers of objects.
         max_objects: Slots that observations are padded to.
     """
-    return replace(
-        config.train.env, n_objects=max(counts.counts), max_objects=max_objects
-    )
+    return replace(config.train.env, n_objects=max(counts.counts), max_objects=max_objects)
 
 
 def _env_in_worker(config: EnvConfig, counts: Counts, seed: int) -> TrainingEnv:

@@ -60,7 +60,9 @@ class Hindsight:
         some = []
         for _ in range(self._her.per_push):
             later = torch.arange(n) + (torch.rand(n) * (n - torch.arange(n))).long()
-            some.append(relabelled(episode, episode["next"][later], self._her.min_displacement, self._env))
+            some.append(
+                relabelled(episode, episode["next"][later], self._her.min_displacement, self._env)
+            )
         kept = [part for part in some if part is not None]
         return torch.cat(kept) if kept else None
 

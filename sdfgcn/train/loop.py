@@ -17,9 +17,8 @@ from sdfgcn.agents.policy import save_policy
 from sdfgcn.config import Config
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.loggers import Logger
-from sdfgcn.models import Q_NETWORKS, build_q_network
+from sdfgcn.models import build_q_network, q_networks
 from sdfgcn.models.q_network import QNetwork
-from sdfgcn.models.sdf_cnn import SdfCnn
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.train.actors import Actors, ActorsPlan, build_actors, training_env
 from sdfgcn.train.checkpoint import NAME, checkpoint_config, load_checkpoint, save_checkpoint
@@ -108,7 +107,8 @@ def train_policy(config: Config, folder: Path, policy: Path, logger: Logger) -> 
 
 def q_network(config: Config, max_objects: int) -> QNetwork:
     """The untrained network that the config names."""
-    return build_q_network(config.model, max_objects, config.env.arena.image_size, config.seed)
+    push, size = config.env.push, config.env.arena.image_size
+    return build_q_network(config.model, push.directions, max_objects, size, config.seed)
 
 
 class Training:
@@ -250,7 +250,7 @@ class Training:
 
 def training_slots(config: Config, counts: Counts) -> int:
     """To how many objects observations are padded: no more than needed, where the model allows."""
-    fixed = Q_NETWORKS[config.model.name] is SdfCnn
+    fixed = q_networks()[config.model.name].fixed_rows
     return config.env.max_objects if fixed else max(counts.counts)
 
 

@@ -78,9 +78,7 @@ def _cosine(distance: float) -> float:
     return 1.0 - 2.0 * distance
 
 
-def _farthest_points(
-    points: NDArray[np.float32], config: UCNConfig
-) -> NDArray[np.float32]:
+def _farthest_points(points: NDArray[np.float32], config: UCNConfig) -> NDArray[np.float32]:
     """[S, D] seeds: the first point, then always the one farthest from those before it."""
     seeds = [points[0]]
     nearest = points @ seeds[0]  # cosine to the nearest seed
