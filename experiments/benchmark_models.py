@@ -110,7 +110,7 @@ def main() -> None:
         for n, form in formats:
             if form == "bfloat16" and not own["bfloat16"]:
                 continue
-            network = build_q_network(config.model, n, size, 0)
+            network = build_q_network(config.model, config.env.push.directions, n, size, 0)
             td = observation(n, own["batch"], own["n_objects"], size)
             rows.append(
                 {

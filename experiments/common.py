@@ -7,12 +7,10 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
-
-from sdfgcn.config import Config, register_schema
+from sdfgcn.compose import load_config
+from sdfgcn.config import Config
 from sdfgcn.files import write_json
 from sdfgcn.results import git_state, versions
-from sdfgcn.validation import typed
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "experiments" / "results"
@@ -20,9 +18,7 @@ RESULTS = ROOT / "experiments" / "results"
 
 def load(overrides: Sequence[str]) -> Config:
     """The experiment's config with overrides as on the command line of `run.py`."""
-    register_schema()
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return typed(compose("config", overrides=list(overrides)))
+    return load_config(*overrides)
 
 
 def parse(arguments: Sequence[str], own: dict[str, int]) -> tuple[dict[str, int], list[str]]:

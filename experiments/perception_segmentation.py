@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from pictures import enlarged, painted, save_png, sheet
 from tqdm import tqdm
 
-from sdfgcn.config import Config, lookup
+from sdfgcn.config import Config
 from sdfgcn.files import write_text
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.segmentation.metrics import MaskScores, score_masks
 from sdfgcn.segmentation.scores import Example, shifted_look, summary, views
-from sdfgcn.perception.segmenters import SEGMENTERS
 from sdfgcn.perception.segmenters.ucn import SHIPPED
+from sdfgcn.registry import SEGMENTERS
 from sdfgcn.results import wilson
 
 SCENES = 100  # of each number of objects
@@ -83,7 +83,7 @@ def counted(scores: Sequence[MaskScores]) -> tuple[float, float]:
 def segmented(config: Config, look: str, scenes: int, seconds: list[float]) -> Iterator[Row]:
     """Each scene with the masks found; adds the processor time that each took to `seconds`."""
     settings = config.env.perception.segmentation
-    segment = lookup(SEGMENTERS, "segmentation", settings.name)(settings)
+    segment = SEGMENTERS.find(settings.name)(settings)
     catalogue = load_catalogue(config.env.objects, "test")
     for view in tqdm(
         views(config.env, catalogue, N_OBJECTS, scenes, LOOKS[look]),

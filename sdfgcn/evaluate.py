@@ -1,7 +1,7 @@
 """Playing evaluation episodes, in this process or in parallel ones.
 
-Every episode has its own seed, drawn from the run's seed and the episode's index, and its own
-generator for the agent. So its result does not depend on which process plays it, or when.
+Every episode has its own seed, drawn from the evaluation's seed and the episode's index, and its
+own generator for the agent. So its result does not depend on which process plays it, or when.
 """
 
 from __future__ import annotations
@@ -97,10 +97,10 @@ class EpisodeStoppedError(Exception):
 
 
 def episode_seeds(seed: int, episode: int) -> tuple[int, np.random.Generator]:
-    """Derive one episode's randomness from the run's seed.
+    """Derive one episode's randomness from the evaluation's seed.
 
     Args:
-        seed: The run's seed.
+        seed: The evaluation's seed.
         episode: The episode's index, from 0.
 
     Returns:
@@ -236,7 +236,7 @@ class _Player:
             self._env = self._build_env()
         from sdfgcn.agents import build_agent
 
-        seed, rng = episode_seeds(config.seed, episode)
+        seed, rng = episode_seeds(config.eval.seed, episode)
         with self._recorder(episode) as recorder:
             agent = build_agent(config, rng)
             return play_episode(self._env, agent, episode, seed, recorder, self._stopped)

@@ -10,7 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from sdfgcn.config import MODEL_CONFIGS, Config
+from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.episodes import Episode
 from sdfgcn.paper import PaperFigure, paper_figure
 
@@ -78,7 +78,7 @@ def summarise(config: Config, episodes: Sequence[Episode], wall_s: float) -> dic
 def _network(config: Config) -> dict[str, Any]:
     """The model, and how its network had been trained, as far as its policy says so."""
     about: dict[str, Any] = {}
-    if config.checkpoint is not None and config.model.name in (*MODEL_CONFIGS, "released"):
+    if config.checkpoint is not None and isinstance(config.model, QNetworkConfig):
         from sdfgcn.agents.policy import ABOUT, find_policy  # loads torch
 
         file = find_policy(config.checkpoint) / ABOUT

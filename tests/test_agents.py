@@ -4,16 +4,17 @@ import torch
 from configs import real_config
 from tensordict import TensorDict
 
-from sdfgcn.agents import MODELS, build_agent
+from sdfgcn.agents import build_agent
 from sdfgcn.agents.rule_based import RuleBasedAgent, nearest_directions
 from sdfgcn.config import N_DIRECTIONS, Config
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.models import Q_NETWORKS
+from sdfgcn.models import q_networks
+from sdfgcn.registry import MODELS
 
 FAR = 0.2  # m, well beyond the success threshold
 
 
-@pytest.fixture(scope="module", params=sorted(MODELS.keys() - Q_NETWORKS.keys()))
+@pytest.fixture(scope="module", params=sorted(MODELS.keys() - q_networks().keys()))
 def each_model(request: pytest.FixtureRequest) -> Config:
     return real_config(f"model={request.param}")
 
@@ -141,6 +142,5 @@ def test_action_is_legal_and_follows_from_the_generator(each_model: Config) -> N
 
 
 def test_unknown_model_is_named(config: Config) -> None:
-    config = real_config("model.name=guessing")
     with pytest.raises(SdfgcnError, match=r"model\.name is 'guessing'.*rule_based"):
-        build_agent(config, np.random.default_rng(0))
+        real_config("model.name=guessing")

@@ -18,8 +18,7 @@ from sdfgcn.config import Config
 from sdfgcn.episodes import Episode
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluate import Evaluation, episode_seeds, evaluate, play_episode, watch
-from sdfgcn.loggers import LOGGERS
-from sdfgcn.viz import RECORDERS
+from sdfgcn.registry import LOGGERS, RECORDERS
 
 
 def config(*overrides: str) -> Config:

@@ -10,15 +10,7 @@ import yaml
 from configs import CONF, real_config
 from omegaconf import OmegaConf
 
-from sdfgcn.agents import MODELS
-from sdfgcn.loggers import LOGGERS
-from sdfgcn.perception.encoders import ENCODERS
-from sdfgcn.perception.perceptions import PERCEPTIONS
-from sdfgcn.perception.segmenters import SEGMENTERS
-from sdfgcn.registry import OBJECTS
-from sdfgcn.sim.robots import ROBOTS
-from sdfgcn.sim.scenarios import SCENARIOS
-from sdfgcn.viz import RECORDERS
+from sdfgcn.registry import REGISTRIES, Registry
 
 ROOT = Path(__file__).parents[1]
 FILES = sorted((ROOT / "sdfgcn").rglob("*.py"))
@@ -30,6 +22,7 @@ LAYERS = (
     ("files", "opengl", "processes"),
     ("registry",),
     ("validation",),
+    ("compose",),
     ("geometry", "paper"),
     ("episodes", "loggers"),
     ("runs",),
@@ -56,17 +49,6 @@ OPTIONAL = {"rerun": "viz", "trimesh": "sources", "coacd": "sources"}
 # Loaded only by what needs them; torch takes seconds, and MuJoCo fails to load without OpenGL.
 LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "mujoco", "dm_control", "statsmodels")
 
-REGISTRIES = {
-    "encoder": ENCODERS,
-    "logger": LOGGERS,
-    "model": MODELS,
-    "objects": OBJECTS,
-    "perception": PERCEPTIONS,
-    "robot": ROBOTS,
-    "scenario": SCENARIOS,
-    "segmentation": SEGMENTERS,
-    "viz": RECORDERS,
-}
 OPTIONS = sorted((path.parent.name, path.stem) for path in CONF.glob("*/*.yaml"))
 YAMLS = sorted(CONF.rglob("*.yaml"))
 
@@ -144,9 +126,9 @@ def test_an_optional_package_stays_in_its_folder(path: Path) -> None:
         assert package not in used or path.parent.name == folder
 
 
-@pytest.mark.parametrize("group", sorted(REGISTRIES))
-def test_registry_and_conf_name_the_same_things(group: str) -> None:
-    assert set(REGISTRIES[group]) == {path.stem for path in (CONF / group).glob("*.yaml")}
+@pytest.mark.parametrize("registry", REGISTRIES, ids=lambda registry: registry.group)
+def test_registry_and_conf_name_the_same_things(registry: Registry) -> None:
+    assert set(registry) == {path.stem for path in (CONF / registry.group).glob("*.yaml")}
 
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS)

@@ -15,15 +15,16 @@ from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss
 
 from sdfgcn.cli import to_sentence
-from sdfgcn.config import N_DIRECTIONS, ConvGcnConfig, ModelConfig
+from sdfgcn.config import N_DIRECTIONS, ModelConfig
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.models import Q_NETWORKS, build_q_network
+from sdfgcn.models import build_q_network, q_networks
 from sdfgcn.models.layers import PROPAGATIONS, Propagation
 from sdfgcn.models.nodes import OccupiedNodes
 from sdfgcn.models.q_network import QNetwork
+from sdfgcn.models.sdfgcn import ConvGcnConfig
 
 SIZE = 24  # pixels: small, for speed
-NAMES = sorted(Q_NETWORKS)
+NAMES = sorted(q_networks())
 GRAPHS = [name for name in NAMES if name != "sdf_cnn"]
 
 
@@ -33,7 +34,7 @@ def model_config(name: str, **changes: Any) -> ModelConfig:
 
 
 def network(name: str, n: int = 4, seed: int = 0, **changes: Any) -> QNetwork:
-    return build_q_network(model_config(name, **changes), n, SIZE, seed)
+    return build_q_network(model_config(name, **changes), N_DIRECTIONS, n, SIZE, seed)
 
 
 def observation(seed: int, n: int = 4, batch: Iterable[int] = (), count: int | None = None):
@@ -148,7 +149,7 @@ def test_weights_follow_from_the_seed_alone(name: str) -> None:
     assert all(torch.equal(one[key], same[key]) for key in one)
     assert not any(torch.equal(one[key], other[key]) for key in one if key.endswith("weight"))
     generator = torch.Generator().manual_seed(0)
-    drawn = build_q_network(model_config(name), 4, SIZE, generator).state_dict()
+    drawn = build_q_network(model_config(name), N_DIRECTIONS, 4, SIZE, generator).state_dict()
     assert all(torch.equal(one[key], drawn[key]) for key in one)
 
 
@@ -243,7 +244,7 @@ def test_padding_does_not_matter(graph_name: str) -> None:
 
 
 def test_sdf_cnn_takes_its_own_number_of_slots_only() -> None:
-    told = "The observation has 8 slots, but this sdf_cnn was built for 4; set env.max_objects=4"
+    told = "The observation has 8 rows, but this sdf_cnn was built for 4; set env.max_objects=4"
     with pytest.raises(SdfgcnError, match=told):
         network("sdf_cnn")(padded(observation(0, 4, (1,)), 8))
 
@@ -427,4 +428,4 @@ def test_a_config_is_typed_by_its_model() -> None:
 
 def test_a_network_that_there_is_not() -> None:
     with pytest.raises(SdfgcnError, match=r"model\.name is 'rule_based', but must be one of"):
-        build_q_network(model_config("rule_based"), 4, SIZE, 0)
+        build_q_network(model_config("rule_based"), N_DIRECTIONS, 4, SIZE, 0)

@@ -69,7 +69,7 @@ def test_look_at_an_env(kernel: KernelManager) -> None:
 def test_inspect_a_policy(kernel: KernelManager, tmp_path: Path) -> None:
     config = real_config(*QUICK, "model=sdfgcn")
     size = config.env.arena.image_size
-    network = build_q_network(config.model, 2, size, 0)
+    network = build_q_network(config.model, 8, 2, size, 0)
     save_policy(tmp_path, network, config.model, 2, size, {})
     told = execute(kernel, "policy", checkpoint=str(tmp_path), overrides=QUICK)
     assert "'name': 'sdfgcn'" in told

@@ -19,9 +19,9 @@ import sdfgcn
 from sdfgcn.agents import build_agent
 from sdfgcn.agents.policy import load_network, save_policy
 from sdfgcn.agents.q_agent import QAgent
-from sdfgcn.config import MODEL_CONFIGS, N_DIRECTIONS
+from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.models import build_q_network
+from sdfgcn.models import build_q_network, q_networks
 
 SIZE = 96
 N = 3
@@ -51,7 +51,7 @@ def observation(pushes: int = 0, center: float = 0.0) -> TensorDict:
 def policy(folder: Path, model: str = "gt_pose_gcn", slots: int = N) -> torch.nn.Module:
     """Write an untrained network as a policy."""
     config = real_config(f"model={model}").model
-    network = build_q_network(config, slots, SIZE, 7)
+    network = build_q_network(config, N_DIRECTIONS, slots, SIZE, 7)
     save_policy(folder, network, config, slots, SIZE, {"budget": {"pushes": 0}})
     return network
 
@@ -59,7 +59,7 @@ def policy(folder: Path, model: str = "gt_pose_gcn", slots: int = N) -> torch.nn
 # ------------------------------------------------------------------ files
 
 
-@pytest.mark.parametrize("model", sorted(MODEL_CONFIGS))
+@pytest.mark.parametrize("model", sorted(q_networks()))
 def test_a_policy_comes_back_as_it_was(model: str, tmp_path: Path) -> None:
     network = policy(tmp_path, model)
     loaded, about = load_network(tmp_path)
@@ -138,9 +138,9 @@ def test_policy_json_comes_last(tmp_path: Path) -> None:
     assert {path.name for path in tmp_path.iterdir()} == {"policy.json", "weights.safetensors"}
 
 
-@pytest.mark.parametrize("model", sorted(MODEL_CONFIGS))
+@pytest.mark.parametrize("model", sorted(q_networks()))
 def test_actors_in_other_processes_can_have_the_network(model: str) -> None:
-    network = build_q_network(real_config(f"model={model}").model, N, SIZE, 7)
+    network = build_q_network(real_config(f"model={model}").model, N_DIRECTIONS, N, SIZE, 7)
     copied = pickle.loads(pickle.dumps(network))
     given, there = (each(observation())["action_value"] for each in (copied, network))
     assert torch.equal(given, there)

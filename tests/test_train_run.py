@@ -32,7 +32,7 @@ ROOT = Path(__file__).parents[1]
 # Every episode succeeds, and each success brings in the next count.
 GROWING = (
     *("env.success_threshold=1.0", "curriculum=on", "curriculum.counts=[1,2,3]"),
-    *("curriculum.window=1", "curriculum.bar=0.0", "curriculum.newest_share=1.0"),
+    *("curriculum.window=1", "curriculum.success_threshold=0.0", "curriculum.newest_share=1.0"),
 )
 SMALL = (
     *("objects=household", "robot=gripper", "n_objects=2", "env.pushes_per_object=1"),

@@ -16,8 +16,8 @@ from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.geometry.camera import CameraModel
 from sdfgcn.objects.model import ObjectModel, Rest
+from sdfgcn.registry import RECORDERS
 from sdfgcn.sim.types import Push
-from sdfgcn.viz import RECORDERS
 from sdfgcn.viz.geometry import edge_strips, node_slots, vertex_normals, zero_contour
 from sdfgcn.viz.words import q_table
 

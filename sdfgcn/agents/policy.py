@@ -18,11 +18,12 @@ from omegaconf import OmegaConf
 from safetensors.torch import load_file, save
 
 from sdfgcn.agents.q_agent import QAgent
-from sdfgcn.config import MODEL_CONFIGS, ModelConfig, lookup
+from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import replaced, write_json
 from sdfgcn.models import build_q_network
 from sdfgcn.models.q_network import QNetwork
+from sdfgcn.registry import MODELS
 
 WEIGHTS = "weights.safetensors"
 ABOUT = "policy.json"
@@ -32,7 +33,7 @@ RELEASED = Path(__file__).resolve().parents[1] / "weights"
 def save_policy(
     folder: Path,
     network: QNetwork,
-    model: ModelConfig,
+    model: QNetworkConfig,
     max_objects: int,
     image_size: int,
     about: Mapping[str, Any],
@@ -43,7 +44,7 @@ def save_policy(
         folder: Where; made if needed.
         network: Its weights are written.
         model: What `network` was built from.
-        max_objects: Slots that it was built with.
+        max_objects: Rows that it was built with.
         image_size: Height and width of its pictures, pixels.
         about: How it was trained, as JSON knows it.
     """
@@ -52,7 +53,12 @@ def save_policy(
     weights = {name: value.contiguous() for name, value in network.state_dict().items()}
     with replaced(folder / WEIGHTS) as part:
         part.write_bytes(save(weights))  # save_file would let nobody else read it
-    kind = {"model": asdict(model), "max_objects": max_objects, "image_size": image_size}
+    kind = {
+        "model": asdict(model),
+        "directions": network.n_directions,
+        "max_objects": max_objects,
+        "image_size": image_size,
+    }
     write_json(folder / ABOUT, {**kind, **about})
 
 
@@ -113,6 +119,25 @@ def load_policy(
     return QAgent(network, np.random.default_rng(seed), epsilon, loop_distance)
 
 
+def trained_agent(config: Config, rng: np.random.Generator) -> QAgent:
+    """The agent of the trained Q-network in `config.checkpoint`.
+
+    Raises:
+        SdfgcnError: `config.checkpoint` names no weights of this model.
+    """
+    if config.checkpoint is None:
+        raise SdfgcnError(
+            f"model.name is '{config.model.name}', which needs trained weights: give checkpoint=..."
+        )
+    network, about = load_network(config.checkpoint)
+    if config.model.name not in ("released", about["model"]["name"]):
+        raise SdfgcnError(
+            f"checkpoint={config.checkpoint} holds weights of model={about['model']['name']}, but "
+            f"model.name is '{config.model.name}'."
+        )
+    return QAgent(network, rng, config.eval.epsilon, config.eval.loop_distance)
+
+
 def _whole(folder: Path) -> bool:
     return (folder / WEIGHTS).is_file()
 
@@ -121,10 +146,11 @@ def _whole(folder: Path) -> bool:
 def _load(folder: Path, written: int) -> tuple[QNetwork, dict[str, Any]]:
     try:
         about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
-        schema = OmegaConf.structured(lookup(MODEL_CONFIGS, "model.name", about["model"]["name"]))
+        schema = OmegaConf.structured(MODELS.config_type(about["model"]["name"]))
         model = OmegaConf.to_object(OmegaConf.merge(schema, about["model"]))
-        assert isinstance(model, ModelConfig)
-        network = build_q_network(model, about["max_objects"], about["image_size"], 0)
+        assert isinstance(model, QNetworkConfig)
+        sizes = (about[key] for key in ("directions", "max_objects", "image_size"))
+        network = build_q_network(model, *sizes, 0)
         network.load_state_dict(load_file(folder / WEIGHTS))
     except Exception as error:  # whatever damaged files make their readers raise
         raise SdfgcnError(

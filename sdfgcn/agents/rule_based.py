@@ -8,10 +8,12 @@ from numpy.typing import NDArray
 from tensordict import TensorDictBase
 
 from sdfgcn.config import N_DIRECTIONS, Config
+from sdfgcn.registry import MODELS
 
 TURN = 2 * np.pi / N_DIRECTIONS
 
 
+@MODELS.register("rule_based")
 class RuleBasedAgent:
     """Pushes a random object that has not reached its goal in the nearest direction towards it.
 

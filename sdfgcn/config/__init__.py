@@ -4,7 +4,16 @@ The numbers live in YAML. A dataclass here names each key and types it; what a t
 `sdfgcn/validation.py` does, in sentences. Nothing mutates a config once it is built.
 """
 
-from sdfgcn.config.base import N_DIRECTIONS, SPLITS, ComponentConfig, lookup
+from sdfgcn.config.base import (
+    N_DIRECTIONS,
+    SPLITS,
+    ComponentConfig,
+    check_above_zero,
+    check_at_least,
+    check_choice,
+    check_share,
+    lookup,
+)
 from sdfgcn.config.env import (
     ArenaConfig,
     EncoderConfig,
@@ -24,17 +33,8 @@ from sdfgcn.config.experiment import (
     LoggerConfig,
     RuntimeConfig,
     VizConfig,
-    register_schema,
 )
-from sdfgcn.config.model import (
-    MODEL_CONFIGS,
-    ConvGcnConfig,
-    ConvModelConfig,
-    ConvWidthConfig,
-    ModelConfig,
-    PoseGcnConfig,
-    QNetworkConfig,
-)
+from sdfgcn.config.model import ModelConfig, QNetworkConfig
 from sdfgcn.config.train import (
     AugmentConfig,
     BudgetConfig,
@@ -47,7 +47,6 @@ from sdfgcn.config.train import (
 )
 
 __all__ = [
-    "MODEL_CONFIGS",
     "N_DIRECTIONS",
     "SPLITS",
     "ArenaConfig",
@@ -56,9 +55,6 @@ __all__ = [
     "CollectorConfig",
     "ComponentConfig",
     "Config",
-    "ConvGcnConfig",
-    "ConvModelConfig",
-    "ConvWidthConfig",
     "CurriculumConfig",
     "EncoderConfig",
     "EnvConfig",
@@ -69,7 +65,6 @@ __all__ = [
     "ObjectsConfig",
     "PerceptionConfig",
     "PhysicsConfig",
-    "PoseGcnConfig",
     "PushConfig",
     "QNetworkConfig",
     "RewardConfig",
@@ -81,6 +76,9 @@ __all__ = [
     "TrainConfig",
     "SegmentationTrainingConfig",
     "VizConfig",
+    "check_above_zero",
+    "check_at_least",
+    "check_choice",
+    "check_share",
     "lookup",
-    "register_schema",
 ]

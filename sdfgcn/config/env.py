@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from omegaconf import MISSING
 
-from sdfgcn.config.base import ComponentConfig
+from sdfgcn.config.base import ComponentConfig, check_above_zero, check_at_least
 from sdfgcn.errors import SdfgcnError
 
 if TYPE_CHECKING:
@@ -89,17 +89,19 @@ class ObjectsConfig(ComponentConfig):
 
 @dataclass
 class RobotConfig(ComponentConfig):
-    """What executes the push (`conf/robot/`); a key that a robot has no use for is zero."""
+    """What executes the push (`conf/robot/`)."""
 
     home: list[float] = MISSING
     lead: float = MISSING
     acceleration: float = MISSING
-    base_position: list[float] = field(default_factory=list)
-    ik_tolerance: float = 0.0
-    ik_steps: int = 0
-    stiffness: float = 0.0
-    yaw_stiffness: float = 0.0
-    force_limit: float = 0.0
+
+    def check(self, config: Config) -> None:
+        """Check the tool's acceleration.
+
+        Raises:
+            SdfgcnError: See `ComponentConfig.check`.
+        """
+        check_above_zero({"env.robot.acceleration": self.acceleration})
 
 
 @dataclass
@@ -183,8 +185,6 @@ class RewardConfig:
 class EncoderConfig(ComponentConfig):
     """What tells objects apart for matching (`conf/encoder/`)."""
 
-    path: str | None = None
-    depth: int = 0
     stages: list[int] = MISSING
     patch: float = MISSING
     input_size: int = MISSING
@@ -192,24 +192,24 @@ class EncoderConfig(ComponentConfig):
     color_weight: float = MISSING
     camera_tilt: float = MISSING
 
+    def check(self, config: Config) -> None:
+        """Check the numbers of the patches.
+
+        Raises:
+            SdfgcnError: See `ComponentConfig.check`.
+        """
+        if not 0 < self.patch <= 1:
+            raise SdfgcnError(
+                f"env.perception.encoder.patch is {self.patch}, but must be above 0 and at most 1."
+            )
+        check_at_least(32, {"env.perception.encoder.input_size": self.input_size})
+        check_at_least(1, {"env.perception.encoder.rotations": self.rotations})
+        check_at_least(0, {"env.perception.encoder.color_weight": self.color_weight})
+
 
 @dataclass
 class SegmentationConfig(ComponentConfig):
     """How masks are found in a picture (`conf/segmentation/`)."""
-
-    weights: str | None = None
-    channels: int = MISSING
-    widths: list[int] = MISSING
-    embedding: int = MISSING
-    table_distance: float = MISSING
-    seeds: int = MISSING
-    seed_distance: float = MISSING
-    concentration: float = MISSING
-    iterations: int = MISSING
-    merge_distance: float = MISSING
-    part_gap: int = MISSING
-    max_hole: int | None = None
-    min_pixels: int = MISSING
 
 
 @dataclass

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from omegaconf import MISSING, OmegaConf
+from omegaconf import MISSING
 
 from sdfgcn.config.base import ComponentConfig
 from sdfgcn.config.env import EnvConfig
-from sdfgcn.config.model import ConvGcnConfig, ConvModelConfig, ModelConfig, PoseGcnConfig
+from sdfgcn.config.model import ModelConfig
 from sdfgcn.config.train import (
     AugmentConfig,
     BudgetConfig,
@@ -24,6 +24,7 @@ class EvalConfig:
     """How a method is evaluated (`conf/eval/`)."""
 
     name: str = MISSING
+    seed: int = MISSING
     episodes: int = MISSING
     split: str = MISSING
     epsilon: float = MISSING
@@ -72,16 +73,3 @@ class Config:
     logger: LoggerConfig = field(default_factory=LoggerConfig)
     viz: VizConfig = field(default_factory=VizConfig)
     runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
-
-
-def register_schema() -> None:
-    """Tell Hydra the types, so that it refuses an unknown key or a value of the wrong type."""
-    from hydra.core.config_store import ConfigStore  # a trained policy is used without Hydra
-
-    store = ConfigStore.instance()
-    schema = OmegaConf.structured(Config)
-    OmegaConf.set_struct(schema.env.objects, False)  # a source may have keys of its own
-    store.store(name="schema", node=schema)
-    for model in (ConvModelConfig, ConvGcnConfig, PoseGcnConfig):
-        # At the top, not in the group `model`: there Hydra would offer them as options.
-        store.store(name=f"schema_{model.__name__}", node=model)

@@ -1,36 +1,30 @@
 """Q-networks: from an observation to the value of every object and direction.
 
-`Q_NETWORKS` maps the learned options of `conf/model/` to builders.
+Each registers with `sdfgcn.registry.MODELS` where it is defined.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import torch
 
-from sdfgcn.config import ModelConfig, lookup
+from sdfgcn.config import ModelConfig, QNetworkConfig, lookup
 from sdfgcn.models.layers import initialise
-from sdfgcn.models.pose_gcn import PoseGcn
 from sdfgcn.models.q_network import QNetwork
-from sdfgcn.models.sdf_cnn import SdfCnn
-from sdfgcn.models.sdfgcn import SdfGcn
-from sdfgcn.validation import validate_model
+from sdfgcn.registry import MODELS
 
-# Called with the model's config, the number of slots and the picture's size in pixels.
-Q_NETWORKS: dict[str, Callable[[Any, int, int], QNetwork]] = {
-    "sdfgcn": SdfGcn,
-    "separate": SdfGcn,
-    "segmentation_gcn": SdfGcn,
-    "pose_gcn": PoseGcn,
-    "gt_pose_gcn": PoseGcn,
-    "sdf_cnn": SdfCnn,
-}
+
+def q_networks() -> dict[str, type[QNetwork]]:
+    """Every Q-network of `conf/model/` by name."""
+    return {
+        name: model
+        for name, model in MODELS.items()
+        if isinstance(model, type) and issubclass(model, QNetwork)
+    }
 
 
 def build_q_network(
     config: ModelConfig,
+    n_directions: int,
     max_objects: int,
     image_size: int,
     generator: torch.Generator | int,
@@ -40,7 +34,8 @@ def build_q_network(
 
     Args:
         config: The `model` part of the experiment's config.
-        max_objects: N, the slots of an observation (`env.max_objects`).
+        n_directions: D, the push directions of each object (`env.push.directions`).
+        max_objects: N, the rows of an observation (`env.max_objects`).
         image_size: Height and width of the pictures, pixels (`env.arena.image_size`).
         generator: Where the initial weights are drawn from, on the CPU, or a seed; torch's global
             generator is left alone.
@@ -52,12 +47,13 @@ def build_q_network(
     Raises:
         SdfgcnError: There is no such network, or its config contradicts itself.
     """
-    build = lookup(Q_NETWORKS, "model.name", config.name)
-    validate_model(config, image_size)
+    build = lookup(q_networks(), "model.name", config.name)
+    assert isinstance(config, QNetworkConfig)
+    config.check_network(image_size)
     if isinstance(generator, int):
         generator = torch.Generator().manual_seed(generator)
     with torch.device("meta"):  # else torch would draw weights from its global generator
-        network = build(config, max_objects, image_size)
+        network = build(config, n_directions, max_objects, image_size)
     network.to_empty(device="cpu")
     initialise(network, generator)
     return network.to(device)

@@ -21,7 +21,6 @@ import torch
 from torch import Generator, Tensor, nn
 from torch.nn.functional import relu
 
-from sdfgcn.config import N_DIRECTIONS, lookup
 from sdfgcn.models.nodes import OccupiedNodes
 
 # In a graph of three objects with goals, a node gets a quarter of each of three neighbours and of
@@ -41,14 +40,10 @@ class Propagation(nn.Module):
         Args:
             layer: Makes a convolution or linear layer, called with `bias`.
             propagation: "split" or "shared", see the module's text.
-
-        Raises:
-            SdfgcnError: `propagation` is neither of them.
         """
         super().__init__()
-        split = lookup(PROPAGATIONS, "model.propagation", propagation)
         self.weights = layer(bias=True)
-        self.own_weights = layer(bias=False) if split else None
+        self.own_weights = layer(bias=False) if PROPAGATIONS[propagation] else None
 
     def forward(self, rows: Tensor, nodes: OccupiedNodes, current_only: bool = False) -> Tensor:
         """Propagate once.
@@ -100,7 +95,7 @@ def linear_block(n_inputs: int, channels: Sequence[int]) -> nn.Sequential:
     return nn.Sequential(*layers)
 
 
-def q_head(n_inputs: int, hidden: int, n_outputs: int = N_DIRECTIONS) -> nn.Sequential:
+def q_head(n_inputs: int, hidden: int, n_outputs: int) -> nn.Sequential:
     """Flatten, then two linear layers (paper section V B)."""
     return nn.Sequential(
         nn.Flatten(),

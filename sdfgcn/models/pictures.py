@@ -1,14 +1,20 @@
-"""Pictures of objects as the input of convolutions."""
+"""Pictures of objects as the input of convolutions, and the config of networks that read them."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 
+from omegaconf import MISSING
 from torch import Tensor
+
+from sdfgcn.config import QNetworkConfig, lookup
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.models.checks import check_above_zero, check_widths
 
 
 def scaled_sdf(sdf: Tensor, unit: float) -> Tensor:
-    """Signed distances in units of so many pixels, about zero; in place.
+    """Signed distances in units of so many pixels, shifted by -1; in place.
 
     Far from every object they are about a unit, and inputs that are all positive learn slowly.
     """
@@ -25,3 +31,66 @@ PICTURES: dict[str, Callable[[Tensor, float], Tensor]] = {
     "sdf": scaled_sdf,
     "mask": object_mask,
 }
+
+
+@dataclass
+class ConvWidthConfig:
+    """How wide the convolutions are: one entry for each CNN block.
+
+    Attributes:
+        channels: Output channels of each convolution of the block.
+        strides: Stride of each convolution of the block.
+        pooling: Size and stride of the max pooling that ends the block; 1 is none.
+        hidden: Units between the two last linear layers.
+    """
+
+    channels: list[list[int]] = MISSING
+    strides: list[list[int]] = MISSING
+    pooling: list[int] = MISSING
+    hidden: int = MISSING
+
+    def final_size(self, image_size: int) -> int:
+        """Height and width that the blocks leave of a picture, pixels.
+
+        Args:
+            image_size: Height and width of the picture, pixels.
+        """
+        for strides, pooling in zip(self.strides, self.pooling, strict=True):
+            for stride in strides:
+                image_size = (image_size - 1) // stride + 1  # 3x3 convolutions, padded
+            image_size //= pooling
+        return image_size
+
+
+@dataclass
+class ConvConfig(QNetworkConfig):
+    """A Q-network over pictures.
+
+    Attributes:
+        features: What a picture shows, a key of `PICTURES`.
+        sdf_unit: The distance that becomes 0, and its unit, as a share of the picture's height.
+        width: The key of `widths` that is used.
+        widths: The choices.
+    """
+
+    features: str = MISSING
+    sdf_unit: float = MISSING
+    width: str = MISSING
+    widths: dict[str, ConvWidthConfig] = MISSING
+
+    def check_network(self, image_size: int) -> None:
+        """See `QNetworkConfig`."""
+        lookup(PICTURES, "model.features", self.features)
+        check_above_zero("model.sdf_unit", self.sdf_unit)
+        width = lookup(self.widths, "model.width", self.width)
+        key = f"model.widths.{self.width}"
+        check_widths(f"{key}.channels", width.channels, width.channels)
+        check_widths(f"{key}.strides", width.strides, width.channels)
+        check_widths(f"{key}.pooling", [width.pooling], [width.channels])
+        check_above_zero(f"{key}.hidden", width.hidden)
+        if width.final_size(image_size) < 1:
+            raise SdfgcnError(
+                f"{key}.strides {width.strides} and pooling {width.pooling} leave nothing of a "
+                f"picture of env.arena.image_size {image_size}; take smaller ones or a larger "
+                "picture."
+            )

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 
 import torch
+from omegaconf import MISSING
 from torch import Tensor, nn
 
-from sdfgcn.config import PoseGcnConfig, lookup
+from sdfgcn.config import QNetworkConfig, lookup
 from sdfgcn.graph import EDGES
-from sdfgcn.models.layers import Propagation, linear_block, q_head
+from sdfgcn.models.checks import check_above_zero, check_widths
+from sdfgcn.models.layers import PROPAGATIONS, Propagation, linear_block, q_head
 from sdfgcn.models.nodes import GRAPH_KEYS, OccupiedNodes
-from sdfgcn.models.q_network import QNetwork, spread_to_slots
+from sdfgcn.models.q_network import QNetwork, spread_to_rows
+from sdfgcn.registry import MODELS
 
 # The observation's key, and that of the goal.
 POSITIONS: dict[str, tuple[str, str]] = {
@@ -21,27 +25,55 @@ POSITIONS: dict[str, tuple[str, str]] = {
 }
 
 
+@dataclass
+class PoseGcnConfig(QNetworkConfig):
+    """A graph convolutional Q-network over positions (`conf/model/pose_gcn.yaml`).
+
+    Attributes:
+        features: Which position a node shows, a key of `POSITIONS`.
+        position_unit: The length that becomes 1, metres.
+        channels: Units of each linear layer, one list for each block.
+        hidden: Units between the two last linear layers.
+        edges: Between the nodes of one picture, a key of `EDGES`.
+        propagation: A key of `PROPAGATIONS`.
+    """
+
+    features: str = MISSING
+    position_unit: float = MISSING
+    channels: list[list[int]] = MISSING
+    hidden: int = MISSING
+    edges: str = MISSING
+    propagation: str = MISSING
+
+    def check_network(self, image_size: int) -> None:
+        """See `QNetworkConfig`."""
+        lookup(POSITIONS, "model.features", self.features)
+        lookup(EDGES, "model.edges", self.edges)
+        lookup(PROPAGATIONS, "model.propagation", self.propagation)
+        check_widths("model.channels", self.channels, self.channels)
+        check_above_zero("model.hidden", self.hidden)
+        check_above_zero("model.position_unit", self.position_unit)
+
+
+@MODELS.register("pose_gcn", "gt_pose_gcn", config=PoseGcnConfig)
 class PoseGcn(QNetwork):
     """Sets of linear layers and MLP propagation over the graph of positions.
 
-    Takes any number of slots.
+    Takes any number of rows.
     """
 
-    def __init__(self, config: PoseGcnConfig, max_objects: int, image_size: int):
+    def __init__(self, config: PoseGcnConfig, n_directions: int, max_objects: int, image_size: int):
         """Make the layers.
 
         Args:
             config: Features, edges, propagation and widths.
+            n_directions: D.
             max_objects: Not used: the weights are the same for every node.
             image_size: Not used: there is no picture.
-
-        Raises:
-            SdfgcnError: The config names features, edges or a propagation that there are not.
         """
-        keys = lookup(POSITIONS, "model.features", config.features)
-        super().__init__([*keys, *GRAPH_KEYS])
+        keys = POSITIONS[config.features]
+        super().__init__([*keys, *GRAPH_KEYS], n_directions)
         self._keys = keys
-        lookup(EDGES, "model.edges", config.edges)
         self._edges = config.edges
         self._unit = config.position_unit
         self.blocks, self.propagations = nn.ModuleList(), nn.ModuleList()
@@ -51,7 +83,7 @@ class PoseGcn(QNetwork):
             n_channels = channels[-1]
             linear = partial(nn.Linear, n_channels, n_channels)
             self.propagations.append(Propagation(linear, config.propagation))
-        self.head = q_head(n_channels, config.hidden)
+        self.head = q_head(n_channels, config.hidden, n_directions)
 
     def action_values(self, observation: Mapping[str, Tensor]) -> Tensor:
         """See `QNetwork`."""
@@ -63,4 +95,4 @@ class PoseGcn(QNetwork):
         for block, propagation in layers:
             last = propagation is layers[-1][1]
             rows = propagation(block(rows), nodes, current_only=last)
-        return spread_to_slots(self.head(rows), observation["node_mask"])
+        return spread_to_rows(self.head(rows), observation["node_mask"])

@@ -3,39 +3,46 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
 
-from sdfgcn.config import N_DIRECTIONS, ConvModelConfig, lookup
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.models.layers import conv_block, q_head
-from sdfgcn.models.pictures import PICTURES
+from sdfgcn.models.pictures import PICTURES, ConvConfig
 from sdfgcn.models.q_network import QNetwork
-from sdfgcn.validation import conv_sizes
+from sdfgcn.registry import MODELS
 
 
+@dataclass
+class SdfCnnConfig(ConvConfig):
+    """A Q-network over pictures without a graph (`conf/model/sdf_cnn.yaml`)."""
+
+
+@MODELS.register("sdf_cnn", config=SdfCnnConfig)
 class SdfCnn(QNetwork):
-    """Convolutions over 2N channels, then N * 8 values at once.
+    """Convolutions over 2N channels, then N * D values at once.
 
-    Channel i is the object in slot i, channel N + i the goal that it is matched with: without a
+    Channel i is the object in row i, channel N + i the goal that it is matched with: without a
     graph, the order of the channels is all that says which goal is whose. The channels of empty
-    slots, and of goals of objects without a match, are zero, the paper's padding.
+    rows, and of goals of objects without a match, are zero, the paper's padding.
     """
 
-    def __init__(self, config: ConvModelConfig, max_objects: int, image_size: int):
+    fixed_rows: ClassVar[bool] = True
+
+    def __init__(self, config: SdfCnnConfig, n_directions: int, max_objects: int, image_size: int):
         """Make the layers.
 
         Args:
             config: Features and widths.
-            max_objects: N; pictures of another number of slots are refused.
+            n_directions: D.
+            max_objects: N; observations of another number of rows are refused.
             image_size: Height and width of the pictures, pixels.
-
-        Raises:
-            SdfgcnError: The config names features that there are not.
         """
-        super().__init__(["sdf", "goal_sdf", "goal_node_mask", "correspondence"])
-        self._picture = lookup(PICTURES, "model.features", config.features)
+        super().__init__(["sdf", "goal_sdf", "goal_node_mask", "correspondence"], n_directions)
+        self._picture = PICTURES[config.features]
         self._unit = config.sdf_unit * image_size
         self._n = max_objects
         width = config.widths[config.width]
@@ -44,19 +51,19 @@ class SdfCnn(QNetwork):
             blocks.append(conv_block(n_channels, *block))
             n_channels = block[0][-1]
         self.blocks = nn.Sequential(*blocks)
-        size = conv_sizes(image_size, width.strides, width.pooling)[-1]
-        self.head = q_head(n_channels * size**2, width.hidden, max_objects * N_DIRECTIONS)
+        size = width.final_size(image_size)
+        self.head = q_head(n_channels * size**2, width.hidden, max_objects * n_directions)
 
     def action_values(self, observation: Mapping[str, Tensor]) -> Tensor:
         """See `QNetwork`.
 
         Raises:
-            SdfgcnError: The observation has another number of slots than the network.
+            SdfgcnError: The observation has another number of rows than the network.
         """
         node_mask, sdf = observation["node_mask"], observation["sdf"]
         if node_mask.shape[-1] != self._n:
             raise SdfgcnError(
-                f"The observation has {node_mask.shape[-1]} slots, but this sdf_cnn was built for "
+                f"The observation has {node_mask.shape[-1]} rows, but this sdf_cnn was built for "
                 f"{self._n}; set env.max_objects={self._n}, or take a model with a graph."
             )
         goal = observation["correspondence"].clamp(min=0)
@@ -67,5 +74,5 @@ class SdfCnn(QNetwork):
         picture[:, : self._n][node_mask] = self._picture(sdf[node_mask], self._unit)
         goals = observation["goal_sdf"][batch.expand_as(goal)[matched], goal[matched]]
         picture[:, self._n :][matched] = self._picture(goals, self._unit)
-        values = self.head(self.blocks(picture)).float().unflatten(-1, (self._n, N_DIRECTIONS))
+        values = self.head(self.blocks(picture)).float().unflatten(-1, (self._n, self.n_directions))
         return torch.where(node_mask.unsqueeze(-1), values, 0.0)

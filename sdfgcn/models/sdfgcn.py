@@ -3,41 +3,60 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import partial
 
 import torch
+from omegaconf import MISSING
 from torch import Tensor, nn
 
-from sdfgcn.config import ConvGcnConfig, lookup
+from sdfgcn.config import lookup
 from sdfgcn.graph import EDGES
-from sdfgcn.models.layers import Propagation, conv_block, in_channels_last, q_head
+from sdfgcn.models.layers import PROPAGATIONS, Propagation, conv_block, in_channels_last, q_head
 from sdfgcn.models.nodes import GRAPH_KEYS, OccupiedNodes
-from sdfgcn.models.pictures import PICTURES
-from sdfgcn.models.q_network import QNetwork, spread_to_slots
-from sdfgcn.validation import conv_sizes
+from sdfgcn.models.pictures import PICTURES, ConvConfig
+from sdfgcn.models.q_network import QNetwork, spread_to_rows
+from sdfgcn.registry import MODELS
 
 
+@dataclass
+class ConvGcnConfig(ConvConfig):
+    """A graph convolutional Q-network over pictures (`conf/model/sdfgcn.yaml` and ablations).
+
+    Attributes:
+        edges: Between the nodes of one picture, a key of `EDGES`.
+        propagation: A key of `PROPAGATIONS`.
+    """
+
+    edges: str = MISSING
+    propagation: str = MISSING
+
+    def check_network(self, image_size: int) -> None:
+        """See `QNetworkConfig`."""
+        super().check_network(image_size)
+        lookup(EDGES, "model.edges", self.edges)
+        lookup(PROPAGATIONS, "model.propagation", self.propagation)
+
+
+@MODELS.register("sdfgcn", "separate", "segmentation_gcn", config=ConvGcnConfig)
 class SdfGcn(QNetwork):
     """Sets of CNN block and CNN propagation layer over the SDF scene graph (paper Fig. 4).
 
-    Takes any number of slots.
+    Takes any number of rows.
     """
 
-    def __init__(self, config: ConvGcnConfig, max_objects: int, image_size: int):
+    def __init__(self, config: ConvGcnConfig, n_directions: int, max_objects: int, image_size: int):
         """Make the layers.
 
         Args:
             config: Features, edges, propagation and widths.
+            n_directions: D.
             max_objects: Not used: the weights are the same for every node.
             image_size: Height and width of the pictures, pixels.
-
-        Raises:
-            SdfgcnError: The config names features, edges or a propagation that there are not.
         """
-        super().__init__(["sdf", "goal_sdf", *GRAPH_KEYS])
-        lookup(EDGES, "model.edges", config.edges)
+        super().__init__(["sdf", "goal_sdf", *GRAPH_KEYS], n_directions)
         self._edges = config.edges
-        self._picture = lookup(PICTURES, "model.features", config.features)
+        self._picture = PICTURES[config.features]
         self._unit = config.sdf_unit * image_size
         width = config.widths[config.width]
         self.blocks, self.propagations = nn.ModuleList(), nn.ModuleList()
@@ -47,8 +66,8 @@ class SdfGcn(QNetwork):
             n_channels = block[0][-1]
             conv = partial(nn.Conv2d, n_channels, n_channels, 3, padding=1)
             self.propagations.append(Propagation(conv, config.propagation))
-        size = conv_sizes(image_size, width.strides, width.pooling)[-1]
-        self.head = q_head(n_channels * size**2, width.hidden)
+        size = width.final_size(image_size)
+        self.head = q_head(n_channels * size**2, width.hidden, n_directions)
 
     def action_values(self, observation: Mapping[str, Tensor]) -> Tensor:
         """See `QNetwork`."""
@@ -63,4 +82,4 @@ class SdfGcn(QNetwork):
         for block, propagation in layers:
             last = propagation is layers[-1][1]
             rows = propagation(block(rows), nodes, current_only=last)
-        return spread_to_slots(self.head(rows), observation["node_mask"])
+        return spread_to_rows(self.head(rows), observation["node_mask"])

@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from sdfgcn.config import EnvConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.model import ObjectModel, Rest
+from sdfgcn.registry import SCENARIOS
 from sdfgcn.sim.placement import NoRoom, footprint
-from sdfgcn.sim.scenarios import SCENARIOS, Scenario, Situation
+from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 MAX_DRAWS = 200  # sets of objects and layouts tried before an episode is called impossible
 

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from sdfgcn.config import EnvConfig
 from sdfgcn.objects.model import ObjectModel
+from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.arena import GROUP_PARKED, GROUP_SCENE, Table
 from sdfgcn.sim.episode import EpisodeSpec
 from sdfgcn.sim.props import CONAFFINITY_PROP, CONTYPE_PROP, PARKING, Prop
 from sdfgcn.sim.push import PushPrimitive
-from sdfgcn.sim.robots import ROBOTS
 from sdfgcn.world import PushCommand, PushResult
 
 READY_TO_SLEEP = -1  # to which MuJoCo counts tree_asleep up while a tree lies still

@@ -1,0 +1,32 @@
+"""The trained weights that come with the package (`conf/model/released.yaml`)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from sdfgcn.agents.policy import trained_agent
+from sdfgcn.agents.q_agent import QAgent
+from sdfgcn.config import Config, QNetworkConfig
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.registry import MODELS
+
+
+@dataclass
+class ReleasedConfig(QNetworkConfig):
+    """Whichever Q-network `checkpoint` holds; it is evaluated, never trained."""
+
+    def check(self, config: Config) -> None:
+        """See `ComponentConfig`."""
+        if config.checkpoint is None:
+            raise SdfgcnError(
+                "checkpoint is null, but model=released is never trained: give the name of a "
+                "released policy or the folder of a trained one."
+            )
+
+
+@MODELS.register("released", config=ReleasedConfig)
+def released(config: Config, rng: np.random.Generator) -> QAgent:
+    """Build the agent of the released weights that `config.checkpoint` names."""
+    return trained_agent(config, rng)
