@@ -7,18 +7,19 @@ import zipfile
 
 import numpy as np
 import pytest
+from configs import real_config
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects import catalogue, fetch
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
-from sdfgcn.objects.contact_sheet import main, read_config
+from sdfgcn.objects.contact_sheet import main
 from sdfgcn.objects.sources import household
 from sdfgcn.objects.storage import MANIFEST, new_folder
 
 
 @pytest.fixture(scope="module")
 def base():
-    return read_config(["objects=household"])
+    return real_config("objects=household").env.objects
 
 
 @pytest.fixture
@@ -145,7 +146,7 @@ def test_offline_names_the_way_out(tmp_path, monkeypatch):
     failed = subprocess.CompletedProcess([], 1, stderr="noise\nERROR: No matching distribution")
     monkeypatch.setattr(fetch.subprocess, "run", lambda *_, **__: failed)
     with pytest.raises(SdfgcnError) as raised:
-        load_catalogue(read_config(["objects=scanned"]), "test")
+        load_catalogue(real_config("objects=scanned").env.objects, "test")
     assert "objects=household" in str(raised.value)
     assert "No matching distribution" in str(raised.value)
     assert not any(tmp_path.rglob("*.stl")) and not fetch.scans_dir().exists()

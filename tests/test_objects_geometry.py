@@ -4,10 +4,10 @@ import struct
 
 import numpy as np
 import pytest
+from configs import real_config
 from scipy.spatial import ConvexHull
 
 from sdfgcn.objects import primitives
-from sdfgcn.objects.contact_sheet import read_config
 from sdfgcn.objects.convex import (
     compound_volume_centroid,
     diameter,
@@ -135,7 +135,7 @@ def test_vessel_is_empty_inside():
 
 
 def test_a_flat_box_rests_on_its_six_faces_at_most():
-    cfg = read_config(["objects=household"])
+    cfg = real_config("objects=household").env.objects
     piece = box(0.08, 0.06, 0.02).moved(z=-0.01).vertices
     rests = find_rests([piece], cfg, np.random.default_rng(0))
     down = np.array([rotation.inv().apply([0, 0, -1]) for rotation, _ in rests])
@@ -145,7 +145,7 @@ def test_a_flat_box_rests_on_its_six_faces_at_most():
 
 
 def test_a_rolling_can_counts_as_one_family():
-    cfg = read_config(["objects=household"])
+    cfg = real_config("objects=household").env.objects
     piece = np.concatenate(
         [np.column_stack([circle(0.03, 24), np.full(24, z)]) for z in (-0.04, 0.04)]
     )
