@@ -1,4 +1,4 @@
-"""Every object of a catalogue in one picture.
+"""Draw every object of a catalogue in one picture.
 
 `python -m sdfgcn.objects.contact_sheet objects=scanned out=contact_sheet.png` takes the overrides
 of the command `sdfgcn`; `pieces=true` draws the convex collision pieces instead of the mesh.
