@@ -16,8 +16,8 @@ from omegaconf import DictConfig
 from sdfgcn.cli import run_plainly
 from sdfgcn.config import register_schema
 from sdfgcn.experiment import run_experiment
-from sdfgcn.results import table
-from sdfgcn.runs import RunFolder
+from sdfgcn.report import text
+from sdfgcn.run_folder import RunFolder
 from sdfgcn.validation import typed
 
 register_schema()
@@ -29,7 +29,7 @@ def main(cfg: DictConfig) -> float:
     job = HydraConfig.get()
     with RunFolder(Path(job.runtime.output_dir), cfg, job.overrides.task) as folder:
         results = run_experiment(typed(cfg), folder)
-    print(f"{table(results)}\nRun folder: {folder.path}")
+    print(f"{text(results)}\nRun folder: {folder.path}")
     return results["success_rate"]
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import RESULTS, load, percent, provenance, save
+from common import RESULTS, load, provenance, save
 from numpy.typing import NDArray
 from pictures import enlarged, painted, save_png, sheet
 from tqdm import tqdm
@@ -26,6 +26,7 @@ from sdfgcn.perception.metrics import MaskScores, score_masks
 from sdfgcn.perception.segmentation_scores import SceneView, shifted_look, summary, views
 from sdfgcn.perception.segmenters import SEGMENTERS
 from sdfgcn.perception.segmenters.ucn import SHIPPED
+from sdfgcn.report import percent
 from sdfgcn.results import wilson
 
 SCENES = 100  # of each number of objects

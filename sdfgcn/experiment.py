@@ -11,7 +11,7 @@ from sdfgcn.evaluate import Evaluation, evaluate, watch
 from sdfgcn.loggers import LOGGERS, Logger
 from sdfgcn.opengl import check_opengl
 from sdfgcn.results import summarise
-from sdfgcn.runs import RunFolder
+from sdfgcn.run_folder import RunFolder
 from sdfgcn.viz import RECORDERS
 
 

@@ -31,8 +31,9 @@ LAYERS = (
     ("registry",),
     ("validation",),
     ("geometry", "paper"),
+    ("report",),
     ("episodes", "loggers"),
-    ("runs",),
+    ("run_folder",),
     ("objects",),
     ("world",),
     ("push_space", "scene"),
@@ -54,7 +55,7 @@ RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 OPTIONAL = {"rerun": "viz", "trimesh": "objects", "coacd": "objects"}
 
 # Loaded only by what needs them; torch takes seconds, and MuJoCo fails to load without OpenGL.
-LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "mujoco", "dm_control", "statsmodels")
+LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "mujoco", "dm_control", "scipy")
 
 REGISTRIES = {
     "encoder": ENCODERS,
