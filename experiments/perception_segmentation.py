@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import RESULTS, load, percent, provenance, save
+from common import RESULTS, load, provenance, save
 from numpy.typing import NDArray
 from pictures import enlarged, painted, save_png, sheet
 from tqdm import tqdm
@@ -26,6 +26,7 @@ from sdfgcn.segmentation.metrics import MaskScores, score_masks
 from sdfgcn.segmentation.scores import Example, shifted_look, summary, views
 from sdfgcn.perception.segmenters.ucn import SHIPPED
 from sdfgcn.registry import SEGMENTERS
+from sdfgcn.report import percent
 from sdfgcn.results import wilson
 
 SCENES = 100  # of each number of objects
