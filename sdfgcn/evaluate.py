@@ -22,7 +22,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from tqdm import tqdm
 
-from sdfgcn.config import N_DIRECTIONS, Config, EnvConfig
+from sdfgcn.config import Config, EnvConfig
 from sdfgcn.episodes import EpisodeResult
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.loggers import Logger
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from sdfgcn.agents import Agent
-    from sdfgcn.envs.types import EpisodeStart, StepRecord
+    from sdfgcn.envs.records import EpisodeStart, StepRecord
 
 
 class Env(Protocol):
@@ -199,15 +199,16 @@ def play_episode(
         done = bool(td["done"])
         if recorder is not None:
             recorder.step(_with_values(env.last_step, values))
-    last, objects = env.last_step, env.episode_start.objects
+    last, start = env.last_step, env.episode_start
+    objects = () if start.truth is None else start.truth.objects
     return EpisodeResult(
         episode=episode,
         seed=seed,
-        n_objects=len(objects),
+        n_objects=start.n_objects,
         objects=";".join(model.name for model in objects),
         success=bool(last.success),
         pushes=last.index,
-        error_mm=round(1000 * float(np.mean(last.distances)), 3),
+        error_mm=round(1000 * float(np.nanmean(last.distances)), 3),
         out_of_range=bool(last.out_of_range),
         truncated=bool(last.truncated),
         return_=round(total_reward, 6),
@@ -216,10 +217,10 @@ def play_episode(
 
 
 def _with_values(step: StepRecord, values: Tensor | None) -> StepRecord:
-    """The step with the agent's action values, [N * 8], if it has any."""
+    """The step with the agent's action values, [N * D], if it has any."""
     if values is None:
         return step
-    return replace(step, q_values=values.reshape(-1, N_DIRECTIONS).numpy())
+    return replace(step, q_values=values.numpy().reshape(step.legal.shape))
 
 
 class _Player:
