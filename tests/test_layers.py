@@ -38,7 +38,6 @@ LAYERS = (
     ("push_space", "scene"),
     ("sim",),
     ("perception",),
-    ("graph",),
     ("models",),
     ("envs",),
     ("agents",),

@@ -404,14 +404,15 @@ def test_vertex_normals_of_a_cube():
 
 
 def test_edges_leave_out_hidden_and_unmatched_nodes():
-    goal = scene(GOAL, order=[0, 1, 2])
-    goal.masks[1] = False  # hidden in the goal
-    current = replace(scene(START, order=[0, 1, 2]), correspondence=np.array([-1, 1, 2]))
-    current.masks[0] = False
-    strips, to_goal = edge_strips(current, goal)
+    masks, goal_masks = (scene(points, order=[0, 1, 2]).masks for points in (START, GOAL))
+    masks[0] = False
+    goal_masks[1] = False
+    strips, to_goal = edge_strips(masks, goal_masks, np.array([False, True, True]))
     np.testing.assert_allclose(strips, [[[48, 24], [72, 72]], [[72, 72], [72, 24]]])
     np.testing.assert_array_equal(to_goal, [False, True])
-    nothing, _ = edge_strips(scene(START, order=[]), goal)
+    unmatched, _ = edge_strips(masks, goal_masks, np.zeros(3, dtype=bool))
+    np.testing.assert_allclose(unmatched, [[[48, 24], [72, 72]]])
+    nothing, _ = edge_strips(masks[:0], goal_masks[:0], np.zeros(0, dtype=bool))
     assert nothing.shape == (0, 2, 2)
 
 

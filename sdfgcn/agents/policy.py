@@ -33,19 +33,13 @@ RELEASED = Path(__file__).resolve().parents[1] / "weights"
 def save_policy(
     folder: Path,
     network: QNetwork,
-    model: QNetworkConfig,
-    max_objects: int,
-    image_size: int,
     about: Mapping[str, Any],
 ) -> None:
     """Write a policy; `policy.json` comes last, so that a folder that has it is whole.
 
     Args:
         folder: Where; made if needed.
-        network: Its weights are written.
-        model: What `network` was built from.
-        max_objects: Rows that it was built with.
-        image_size: Height and width of its pictures, pixels.
+        network: Its weights are written, and what it was built from.
         about: How it was trained, as JSON knows it.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -55,10 +49,10 @@ def save_policy(
     part.write_bytes(save(weights))  # save_file would let nobody else read it
     part.replace(folder / WEIGHTS)
     kind = {
-        "model": asdict(model),
+        "model": asdict(network.config),
         "directions": network.n_directions,
-        "max_objects": max_objects,
-        "image_size": image_size,
+        "max_objects": network.max_objects,
+        "image_size": network.image_size,
     }
     write_json(folder / ABOUT, {**kind, **about})
 
@@ -150,8 +144,8 @@ def _load(folder: Path, written: int) -> tuple[QNetwork, dict[str, Any]]:
         schema = OmegaConf.structured(MODELS.config_type(about["model"]["name"]))
         model = OmegaConf.to_object(OmegaConf.merge(schema, about["model"]))
         assert isinstance(model, QNetworkConfig)
-        sizes = (about[key] for key in ("directions", "max_objects", "image_size"))
-        network = build_q_network(model, *sizes, 0)
+        n_directions, max_objects = about["directions"], about["max_objects"]
+        network = build_q_network(model, n_directions, max_objects, about["image_size"], 0)
         network.load_state_dict(load_file(folder / WEIGHTS))
     except Exception as error:  # whatever damaged files make their readers raise
         raise SdfgcnError(

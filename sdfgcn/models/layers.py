@@ -21,7 +21,7 @@ import torch
 from torch import Generator, Tensor, nn
 from torch.nn.functional import relu
 
-from sdfgcn.models.nodes import OccupiedNodes
+from sdfgcn.models.graph import OccupiedNodes
 
 # In a graph of three objects with goals, a node gets a quarter of each of three neighbours and of
 # itself; these gains give the two sums a node's own size again.

@@ -94,12 +94,10 @@ def train_policy(config: Config, folder: Path, policy: Path, logger: Logger) -> 
         SdfgcnError: See `train`.
     """
     load_catalogue(config.env.objects, config.train.split)  # before actors would each do it
-    slots = training_slots(config, Counts(config.curriculum, config.n_objects))
     about = {"seed": config.seed, "training": learning_config(config)}
 
     def keep(network: QNetwork, budget: dict[str, Any] | None) -> None:
-        told = {"budget": budget, **about}
-        save_policy(policy, network, config.model, slots, config.env.arena.image_size, told)
+        save_policy(policy, network, {"budget": budget, **about})
 
     network = train(config, folder, logger, q_network, partial(keep, budget=None))
     keep(network, asdict(config.budget))

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import contourpy
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from sdfgcn.envs.types import Scene
 from sdfgcn.geometry.camera import CameraModel
-from sdfgcn.graph import adjacency_matrix
 
 _FAR = 1e6  # a cost that loses against any real one
 
@@ -80,24 +78,25 @@ def node_slots(scene: Scene, radii: NDArray[np.float64], camera: CameraModel) ->
     return slots
 
 
-def edge_strips(scene: Scene, goal: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def edge_strips(
+    masks: NDArray[np.bool_], goal_masks: NDArray[np.bool_], matched: NDArray[np.bool_]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """The scene graph's edges at the current nodes, as lines in the picture.
 
     Args:
-        scene: The current scene's m nodes; without a correspondence nothing is matched.
-        goal: The goal's nodes.
+        masks: [N, H, W] the current scene's; an empty one is no node.
+        goal_masks: [N, H, W] the goal's.
+        matched: [N] the rows in which both show the same object.
 
     Returns:
         [E, 2, 2] the ends of each edge: column and row of the centres of the nodes' masks,
         pixels; and [E] whether the edge leads to the goal's node.
     """
-    m = len(scene.masks)
-    matched = np.full(m, -1) if scene.correspondence is None else scene.correspondence
-    seen, goal_seen = (torch.from_numpy(s.masks.any(axis=(1, 2))) for s in (scene, goal))
-    edges = adjacency_matrix(seen, goal_seen, torch.from_numpy(matched), "complete")
-    ends = np.argwhere(np.triu(edges.numpy())[:m])
-    centres = np.array([_mask_centre(mask) for s in (scene, goal) for mask in s.masks])
-    return centres.reshape(-1, 2)[ends], ends[:, 1] >= m
+    seen, goal_seen = masks.any(axis=(1, 2)), goal_masks.any(axis=(1, 2))
+    among = np.triu(np.outer(seen, seen), k=1)
+    ends = np.argwhere(np.hstack([among, np.diag(matched & seen & goal_seen)]))
+    centres = np.array([_mask_centre(mask) for mask in (*masks, *goal_masks)])
+    return centres.reshape(-1, 2)[ends], ends[:, 1] >= len(masks)
 
 
 def _mask_centre(mask: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -84,7 +84,10 @@ def arrow_2d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows2D:
 
 def edges_2d(scene: Scene, goal: Scene) -> rr.LineStrips2D:
     """The scene graph's edges in the current picture: among its objects, and to their goals."""
-    strips, to_goal = edge_strips(scene, goal)
+    match = np.full(len(scene.masks), -1) if scene.correspondence is None else scene.correspondence
+    goals = np.zeros_like(scene.masks)
+    goals[match >= 0] = goal.masks[match[match >= 0]]
+    strips, to_goal = edge_strips(scene.masks, goals, match >= 0)
     colors = np.where(to_goal[:, None], MATCH_COLOR, EDGE_COLOR)
     return rr.LineStrips2D(list(strips), colors=colors.astype(np.uint8), radii=0.15, draw_order=15)
 
