@@ -17,7 +17,7 @@ import numpy as np
 from omegaconf import OmegaConf
 from safetensors.torch import load_file, save
 
-from sdfgcn.agents.q_agent import QAgent
+from sdfgcn.agents.epsilon_greedy import EpsilonGreedy, QAgent
 from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import write_json
@@ -30,11 +30,7 @@ ABOUT = "policy.json"
 RELEASED = Path(__file__).resolve().parents[1] / "weights"
 
 
-def save_policy(
-    folder: Path,
-    network: QNetwork,
-    about: Mapping[str, Any],
-) -> None:
+def save_policy(folder: Path, network: QNetwork, about: Mapping[str, Any]) -> None:
     """Write a policy; `policy.json` comes last, so that a folder that has it is whole.
 
     Args:
@@ -97,7 +93,7 @@ def load_policy(
     epsilon: float = 0.0,
     loop_distance: float | None = 0.02,
     seed: int = 0,
-) -> QAgent:
+) -> EpsilonGreedy:
     """A trained policy, ready to be called with observations; needs no Hydra.
 
     Args:
@@ -111,10 +107,11 @@ def load_policy(
         SdfgcnError: There is no such policy, or its files are damaged.
     """
     network, _ = load_network(checkpoint)
-    return QAgent(network, np.random.default_rng(seed), epsilon, loop_distance)
+    rng = np.random.default_rng(seed)
+    return EpsilonGreedy(QAgent(network), rng, epsilon, loop_distance)
 
 
-def trained_agent(config: Config, rng: np.random.Generator) -> QAgent:
+def trained_agent(config: Config) -> QAgent:
     """The agent of the trained Q-network in `config.checkpoint`.
 
     Raises:
@@ -125,12 +122,12 @@ def trained_agent(config: Config, rng: np.random.Generator) -> QAgent:
             f"model.name is '{config.model.name}', which needs trained weights: give checkpoint=..."
         )
     network, about = load_network(config.checkpoint)
-    if config.model.name not in ("released", about["model"]["name"]):
+    if config.model.name != about["model"]["name"]:
         raise SdfgcnError(
             f"checkpoint={config.checkpoint} holds weights of model={about['model']['name']}, but "
             f"model.name is '{config.model.name}'."
         )
-    return QAgent(network, rng, config.eval.epsilon, config.eval.loop_distance)
+    return QAgent(network)
 
 
 def _whole(folder: Path) -> bool:
