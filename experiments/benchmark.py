@@ -41,9 +41,8 @@ from sdfgcn.config import Config
 from sdfgcn.perception.matching import Matcher
 from sdfgcn.perception.push_start import PushPlanner
 from sdfgcn.perception.sdf import forget_distances
-from sdfgcn.perception.segmenters import SEGMENTERS
+from sdfgcn.registry import ROBOTS, SEGMENTERS
 from sdfgcn.sim.renderer import Renderer
-from sdfgcn.sim.robots import ROBOTS
 
 PARTS = {
     "physics": [

@@ -6,7 +6,7 @@
 Trains anew in each case and writes `results/benchmark_training.json`. Rates are by the wall clock,
 from the first update on, so run it on a quiet machine; each row tells how many updates a push got,
 since actors and learner wait for each other where one is far ahead
-(`train.updates_per_push`, `train.max_updates_per_push`).
+(`train.utd_ratio`, `train.max_utd_ratio`).
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ def measure(overrides: list[str], collector: str, workers: int, seconds: int) ->
     """Train for so many seconds; the rates of the time in which there were updates."""
     config = load(
         [
-            *("model=sdfgcn", f"collector={collector}", f"collector.workers={workers}"),
+            *("model=sdfgcn", f"collector={collector}"),
+            *([f"collector.workers={workers}"] if workers else []),
             *(f"budget.minutes={seconds / 60}", f"train.log_pushes={LOG_PUSHES}", *overrides),
         ]
     )

@@ -7,12 +7,10 @@ from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
-from hydra import compose, initialize_config_dir
-
-from sdfgcn.config import Config, register_schema
+from sdfgcn.compose import load_config
+from sdfgcn.config import Config
 from sdfgcn.files import write_json
 from sdfgcn.results import git_state, versions
-from sdfgcn.validation import typed
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "experiments" / "results"
@@ -20,9 +18,7 @@ RESULTS = ROOT / "experiments" / "results"
 
 def load(overrides: Sequence[str]) -> Config:
     """The experiment's config with overrides as on the command line of `run.py`."""
-    register_schema()
-    with initialize_config_dir(str(ROOT / "conf"), version_base="1.3"):
-        return typed(compose("config", overrides=list(overrides)))
+    return load_config(*overrides)
 
 
 def parse(arguments: Sequence[str], own: dict[str, int]) -> tuple[dict[str, int], list[str]]:
@@ -45,12 +41,6 @@ def file_name(experiment: str, parts: Sequence[str], usual: Collection[str]) -> 
 def provenance() -> dict[str, Any]:
     """The versions and the commit that a result comes from."""
     return {"versions": versions(), "git": git_state(ROOT)}
-
-
-def percent(share: float, interval: Sequence[float] | None = None, digits: int = 0) -> str:
-    """A share as a table says it: `93%`, or `93% [90, 95]` with its interval."""
-    bounds = ", ".join(f"{100 * bound:.{digits}f}" for bound in interval or ())
-    return f"{100 * share:.{digits}f}%" + (f" [{bounds}]" if bounds else "")
 
 
 def save(name: str, result: dict[str, Any]) -> None:

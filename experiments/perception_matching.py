@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from common import RESULTS, file_name, load, percent, provenance, save
+from common import RESULTS, file_name, load, provenance, save
 from numpy.typing import NDArray
 from pictures import Picture, outlined, save_png, sheet, titled
 from tqdm import tqdm
@@ -29,6 +29,7 @@ from sdfgcn.envs.types import Scene as Seen
 from sdfgcn.files import write_json, write_text
 from sdfgcn.perception.matching import Matcher
 from sdfgcn.perception.perception import detected
+from sdfgcn.report import percent
 from sdfgcn.results import wilson
 from sdfgcn.sim.episode import draw_episode
 

@@ -1,14 +1,48 @@
-"""Push objects into the arrangement that a goal picture shows, by Q-learning on SDF graphs."""
+"""Push objects into the arrangement that a goal picture shows, by Q-learning on SDF graphs.
+
+env = sdfgcn.make_env("objects=household", "robot=gripper")
+policy = sdfgcn.load_policy("sdfgcn")
+observation = policy(env.reset())
+"""
 
 from __future__ import annotations
 
-from typing import Any
+import os
+from typing import TYPE_CHECKING, Any
 
-__all__ = ["load_policy"]
+if TYPE_CHECKING:
+    from sdfgcn.agents.policy import load_policy
+    from sdfgcn.compose import conf_dir, load_config
+    from sdfgcn.envs.rearrangement import RearrangementEnv
+
+__all__ = ["__version__", "conf_dir", "load_config", "load_policy", "make_env"]
+__version__ = "0.1.0"
+
+os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo loads: render without a display
+
+
+def make_env(*overrides: str) -> RearrangementEnv:
+    """The environment of a config.
+
+    Args:
+        overrides: As on the command line: `make_env("n_objects=2", "robot=gripper")`.
+
+    Raises:
+        SdfgcnError, HydraException, OmegaConfBaseException: See `load_config`, and
+            `RearrangementEnv`.
+    """
+    from sdfgcn.compose import load_config
+    from sdfgcn.envs.rearrangement import RearrangementEnv
+
+    return RearrangementEnv(load_config(*overrides).env)
 
 
 def __getattr__(name: str) -> Any:
-    """Load `load_policy`, and torch with it, when it is first asked for."""
+    """Load what takes long, torch above all, when it is first asked for."""
+    if name in ("conf_dir", "load_config"):
+        from sdfgcn import compose
+
+        return getattr(compose, name)
     if name == "load_policy":
         from sdfgcn.agents.policy import load_policy
 

@@ -1,4 +1,8 @@
-"""How `run.py` speaks when something is wrong: one sentence on stderr, exit code 1."""
+"""The command `sdfgcn`: train if need be, evaluate, write a run folder; `--help` lists its keys.
+
+The run folder holds the config, a row for each episode, the results and the recordings. When
+something is wrong, there is one sentence on stderr, and the exit code is 1.
+"""
 
 from __future__ import annotations
 
@@ -13,20 +17,46 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
+import hydra
+import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from sdfgcn.config import Config
+from sdfgcn.compose import component_dirs, conf_dir, register_search_path
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.experiment import run_experiment
+from sdfgcn.opengl import check_opengl
+from sdfgcn.report import text
+from sdfgcn.run_folder import RunFolder
+from sdfgcn.validation import typed
 
 _FULL_ERROR = "HYDRA_FULL_ERROR"
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
-_CONF = Path(__file__).resolve().parents[1] / "conf"
+
+
+def main() -> None:
+    """Do what the command line says.
+
+    Raises:
+        SystemExit: See `run_plainly`.
+    """
+    register_search_path()
+    run_plainly(hydra.main(str(conf_dir()), "config", version_base="1.3")(run))
+
+
+def run(cfg: DictConfig) -> float:
+    """Evaluate the configured model and print its row; return the success rate for a sweeper."""
+    job = HydraConfig.get()
+    with RunFolder(Path(job.runtime.output_dir), cfg, job.overrides.task) as folder:
+        check_opengl()
+        results = run_experiment(typed(cfg), folder)
+    print(f"{text(results)}\nRun folder: {folder.path}")
+    return results["success_rate"]
 
 
 def run_plainly(main: Callable[[], Any]) -> None:
@@ -135,25 +165,37 @@ def _tell_config_error(error: BaseException) -> str:
 def _hint(asked: str) -> str:
     """Name the keys or the group that was probably meant."""
     meant: dict[str, list[str]] = {}
-    for key in _keys(OmegaConf.structured(Config)):
+    for key in _all_keys():
         parts = key.split(".")
         for start in range(len(parts)):
             meant.setdefault(".".join(parts[start:]), []).append(key)
-    meant |= {group.name: [group.name] for group in _CONF.glob("*/")}
+    meant |= {group.name: [group.name] for group in conf_dir().glob("*/")}
     close = difflib.get_close_matches(asked, meant, n=1, cutoff=0.8)
     if not close:
-        return "`run.py --cfg job` prints all keys."
+        return "`--cfg job` prints all keys."
     depth = min(key.count(".") for key in meant[close[0]])
     nearest = [key for key in meant[close[0]] if key.count(".") == depth]
     return f"did you mean {' or '.join(nearest)}?"
 
 
-def _keys(cfg: DictConfig, prefix: str = "") -> Iterator[str]:
-    for key in map(str, cfg):
-        if OmegaConf.is_missing(cfg, key) or not OmegaConf.is_dict(cfg[key]):
+def _all_keys() -> set[str]:
+    """Every key of every option."""
+    keys = set(_keys(yaml.safe_load((conf_dir() / "config.yaml").read_text(encoding="utf-8"))))
+    for folder in (conf_dir(), *component_dirs()):
+        for file in folder.glob("*/*.yaml"):
+            text = file.read_text(encoding="utf-8")
+            header = re.match(r"# @package (\S+)", text)
+            package = header[1] if header else file.parent.name
+            keys.update(_keys(yaml.safe_load(text), "" if package == "_global_" else f"{package}."))
+    return keys
+
+
+def _keys(values: dict[str, Any], prefix: str = "") -> Iterator[str]:
+    for key, value in values.items():
+        if isinstance(value, dict):
+            yield from _keys(value, f"{prefix}{key}.")
+        elif key != "defaults":
             yield f"{prefix}{key}"
-        else:
-            yield from _keys(cfg[key], f"{prefix}{key}.")
 
 
 def _gist(error: BaseException) -> str:
@@ -165,3 +207,7 @@ def _gist(error: BaseException) -> str:
 
 def _as_sentence(text: str) -> str:
     return text if text.endswith((".", "!", "?")) else f"{text}."
+
+
+if __name__ == "__main__":
+    main()

@@ -1,6 +1,6 @@
 """Playing evaluation episodes, in this process or in parallel ones.
 
-Every episode has its own seed, drawn from the run's seed and the episode's index, and its own
+Every episode has its own seed, drawn from `eval.seed` and the episode's index, and its own
 generator for the agent. So its result does not depend on which process plays it, or when.
 """
 
@@ -9,8 +9,6 @@ from __future__ import annotations
 import atexit
 import multiprocessing
 import os
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -24,10 +22,11 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from tqdm import tqdm
 
-from sdfgcn.config import N_DIRECTIONS, Config, EnvConfig
-from sdfgcn.episodes import Episode
+from sdfgcn.config import Config, EnvConfig
+from sdfgcn.episodes import EpisodeResult
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.loggers import Logger
+from sdfgcn.processes import follow_parent
 
 # What loads torch is imported where it is used: the main process of parallel workers needs none.
 if TYPE_CHECKING:
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from sdfgcn.agents.epsilon_greedy import EpsilonGreedy
-    from sdfgcn.envs.types import EpisodeStart, StepRecord
+    from sdfgcn.envs.records import EpisodeStart, StepRecord
 
 
 class Env(Protocol):
@@ -98,10 +97,10 @@ class EpisodeStoppedError(Exception):
 
 
 def episode_seeds(seed: int, episode: int) -> tuple[int, np.random.Generator]:
-    """Derive one episode's randomness from the run's seed.
+    """Derive one episode's randomness from the evaluation's seed.
 
     Args:
-        seed: The run's seed.
+        seed: The evaluation's seed.
         episode: The episode's index, from 0.
 
     Returns:
@@ -111,7 +110,7 @@ def episode_seeds(seed: int, episode: int) -> tuple[int, np.random.Generator]:
     return int(for_env.generate_state(1)[0]), np.random.default_rng(for_agent)
 
 
-def evaluate(evaluation: Evaluation, finished: Iterable[int] = ()) -> Iterator[Episode]:
+def evaluate(evaluation: Evaluation, finished: Iterable[int] = ()) -> Iterator[EpisodeResult]:
     """Play the episodes of an evaluation that are not finished yet.
 
     Args:
@@ -133,8 +132,8 @@ def evaluate(evaluation: Evaluation, finished: Iterable[int] = ()) -> Iterator[E
 
 
 def watch(
-    episodes: Iterable[Episode], finished: Sequence[Episode], total: int, logger: Logger
-) -> Iterator[Episode]:
+    episodes: Iterable[EpisodeResult], finished: Sequence[EpisodeResult], total: int, logger: Logger
+) -> Iterator[EpisodeResult]:
     """Pass episodes on, with a progress bar and running figures.
 
     The bar shows the time left and the success rate so far. It is on stderr, and only on a
@@ -170,7 +169,7 @@ def play_episode(
     seed: int,
     recorder: Recorder | None = None,
     stopped: Callable[[], bool] = lambda: False,
-) -> Episode:
+) -> EpisodeResult:
     """Play one episode to its end.
 
     Args:
@@ -200,15 +199,16 @@ def play_episode(
         done = bool(td["done"])
         if recorder is not None:
             recorder.step(_with_values(env.last_step, values))
-    last, objects = env.last_step, env.episode_start.objects
-    return Episode(
+    last, start = env.last_step, env.episode_start
+    objects = () if start.truth is None else start.truth.objects
+    return EpisodeResult(
         episode=episode,
         seed=seed,
-        n_objects=len(objects),
+        n_objects=start.n_objects,
         objects=";".join(model.name for model in objects),
         success=bool(last.success),
         pushes=last.index,
-        error_mm=round(1000 * float(np.mean(last.distances)), 3),
+        error_mm=round(1000 * float(np.nanmean(last.distances)), 3),
         out_of_range=bool(last.out_of_range),
         truncated=bool(last.truncated),
         return_=round(total_reward, 6),
@@ -217,10 +217,10 @@ def play_episode(
 
 
 def _with_values(step: StepRecord, values: Tensor | None) -> StepRecord:
-    """The step with the agent's action values, [N * 8], if it has any."""
+    """The step with the agent's action values, [N * D], if it has any."""
     if values is None:
         return step
-    return replace(step, q_values=values.reshape(-1, N_DIRECTIONS).numpy())
+    return replace(step, q_values=values.numpy().reshape(step.legal.shape))
 
 
 class _Player:
@@ -231,13 +231,13 @@ class _Player:
         self._stopped = stopped
         self._env: Env | None = None
 
-    def play(self, episode: int) -> Episode:
+    def play(self, episode: int) -> EpisodeResult:
         config = self._evaluation.config
         if self._env is None:
             self._env = self._build_env()
         from sdfgcn.agents import build_agent
 
-        seed, rng = episode_seeds(config.seed, episode)
+        seed, rng = episode_seeds(config.eval.seed, episode)
         with self._recorder(episode) as recorder:
             agent = build_agent(config, rng)
             return play_episode(self._env, agent, episode, seed, recorder, self._stopped)
@@ -262,7 +262,7 @@ class _Player:
             self._env.close()
 
 
-def _in_this_process(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[Episode]:
+def _in_this_process(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[EpisodeResult]:
     player = _Player(evaluation, stopped=lambda: False)
     try:
         for episode in episodes:
@@ -271,7 +271,7 @@ def _in_this_process(evaluation: Evaluation, episodes: Sequence[int]) -> Iterato
         player.close()
 
 
-def _in_workers(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[Episode]:
+def _in_workers(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[EpisodeResult]:
     if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
         # A process of joblib's launcher: its own start method is unknown to processes spawned here.
         multiprocessing.set_start_method("spawn", force=True)
@@ -286,7 +286,7 @@ def _in_workers(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[Epi
         pool.shutdown(cancel_futures=True)
 
 
-def _as_they_end(futures: Sequence[Future[Episode]]) -> Iterator[Episode]:
+def _as_they_end(futures: Sequence[Future[EpisodeResult]]) -> Iterator[EpisodeResult]:
     try:
         for future in as_completed(futures):
             yield future.result()
@@ -302,20 +302,11 @@ _player: _Player | None = None  # the worker process's own
 
 def _start_worker(evaluation: Evaluation, stop: Event) -> None:
     global _player
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process hears Ctrl-C and sets `stop`
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    follow_parent()  # on Ctrl-C it sets `stop`
     atexit.register(os._exit, 0)  # freeing torch and OpenGL at the end takes two seconds
     _player = _Player(evaluation, stopped=stop.is_set)
 
 
-def _end_with_parent() -> None:
-    """End this worker when the main process is killed; it would wait for work forever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _play_in_worker(episode: int) -> Episode:
+def _play_in_worker(episode: int) -> EpisodeResult:
     assert _player is not None
     return _player.play(episode)

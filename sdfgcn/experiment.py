@@ -6,13 +6,12 @@ import json
 from dataclasses import asdict, replace
 from typing import Any
 
-from sdfgcn.config import Config, QNetworkConfig, lookup
+from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.evaluate import Evaluation, evaluate, watch
-from sdfgcn.loggers import LOGGERS, Logger
-from sdfgcn.opengl import check_opengl
+from sdfgcn.loggers import Logger
+from sdfgcn.registry import LOGGERS, RECORDERS
 from sdfgcn.results import summarise
-from sdfgcn.runs import RunFolder
-from sdfgcn.viz import RECORDERS
+from sdfgcn.run_folder import RunFolder
 
 
 def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
@@ -26,19 +25,18 @@ def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
         The content of `results.json`.
 
     Raises:
-        SdfgcnError: What it needs is not there: OpenGL, the objects, room for a layout.
+        SdfgcnError: What it needs is not there: the objects, room for a layout.
     """
-    check_opengl()
     from sdfgcn.objects.catalogue import load_catalogue  # loads MuJoCo: it fails without OpenGL
 
     load_catalogue(config.env.objects, config.env.split)  # once, before workers would each do it
-    logger = lookup(LOGGERS, "logger.name", config.logger.name)(folder.path)
+    logger = LOGGERS.find(config.logger.name)(folder.path)
     if isinstance(config.model, QNetworkConfig):
         config = with_policy(config, folder, logger)
     evaluation = Evaluation(
         config,
         folder.path / "recordings",
-        lookup(RECORDERS, "viz.name", config.viz.name),
+        RECORDERS.find(config.viz.name),
     )
     finished = folder.finished
     missing = evaluate(evaluation, {episode.episode for episode in finished})

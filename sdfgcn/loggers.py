@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.util
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import CsvTable
+from sdfgcn.registry import LOGGERS
 
 
 class Logger(Protocol):
@@ -18,6 +19,7 @@ class Logger(Protocol):
         """Take figures by name at a step, for example after an episode."""
 
 
+@LOGGERS.register("none")
 class NoLogger:
     """Keeps nothing."""
 
@@ -28,22 +30,20 @@ class NoLogger:
         """Drop the figures."""
 
 
+@LOGGERS.register("csv")
 class CsvLogger:
     """Appends to `metrics.csv` of the run folder: one line a figure, `step,name,value`."""
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / "metrics.csv"
+        self._table = CsvTable(folder / "metrics.csv", ("step", "name", "value"))
 
     def log(self, step: int, figures: Mapping[str, float]) -> None:
         """Append the figures; they are in the file when this returns."""
-        new = not self._path.exists()
-        with self._path.open("a", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            if new:
-                writer.writerow(("step", "name", "value"))
-            writer.writerows((step, name, value) for name, value in figures.items())
+        rows = ({"step": step, "name": name, "value": value} for name, value in figures.items())
+        self._table.append(*rows)
 
 
+@LOGGERS.register("tensorboard")
 class TensorboardLogger:
     """Writes event files into `tensorboard` of the run folder."""
 
@@ -64,6 +64,7 @@ class TensorboardLogger:
             self._events.log_scalar(name, value, step=step)
 
 
+@LOGGERS.register("wandb")
 class WandbLogger:
     """Sends figures to Weights & Biases, project sdfgcn; the run is named after the folder."""
 
@@ -90,11 +91,3 @@ def _check_installed(package: str) -> None:
             f"logger={package} needs a package that is not installed: "
             f"pip install 'sdfgcn[{package}]', or use logger=csv."
         )
-
-
-LOGGERS: dict[str, Callable[[Path], Logger]] = {
-    "csv": CsvLogger,
-    "none": NoLogger,
-    "tensorboard": TensorboardLogger,
-    "wandb": WandbLogger,
-}

@@ -51,7 +51,7 @@ class Registry(Mapping[str, T], Generic[T]):
         Args:
             group: The config group, a folder of `conf/`.
             path: Where the group stands in the config, such as "env.robot".
-            modules: The module that registers components; "package.*" for all of a package.
+            modules: The modules that register components; "package.*" for all of a package.
             base: The config dataclass of a component without keys of its own.
         """
         self.group = group
@@ -140,7 +140,10 @@ SCENARIOS: Registry[Any] = Registry(
     "scenario", "env.scenario", "sdfgcn.sim.scenarios.*", ScenarioConfig
 )
 PERCEPTIONS: Registry[Any] = Registry(
-    "perception", "env.perception", "sdfgcn.perception.*", PerceptionConfig
+    "perception",
+    "env.perception",
+    "sdfgcn.perception.oracle sdfgcn.perception.vision",
+    PerceptionConfig,
 )
 ENCODERS: Registry[Any] = Registry(
     "encoder", "env.perception.encoder", "sdfgcn.perception.encoders.*", EncoderConfig

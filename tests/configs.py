@@ -1,26 +1,22 @@
 """The real config of `conf/`, with overrides."""
 
 from functools import cache
-from pathlib import Path
 
-from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 
-from sdfgcn.config import Config, register_schema
-from sdfgcn.validation import typed
+from sdfgcn import compose
+from sdfgcn.config import Config
 
-CONF = Path(__file__).parents[1] / "conf"
+CONF = compose.conf_dir()
 
 
 @cache  # nothing mutates a config
 def compose_config(*overrides: str) -> DictConfig:
-    """What `run.py` gets from Hydra."""
-    register_schema()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return compose("config", list(overrides))
+    """What the command line gets from Hydra."""
+    return compose.compose_config(overrides)
 
 
 @cache
 def real_config(*overrides: str) -> Config:
     """The same as checked dataclasses."""
-    return typed(compose_config(*overrides))
+    return compose.load_config(*overrides)

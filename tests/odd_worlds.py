@@ -9,7 +9,7 @@ from configs import real_config
 
 from sdfgcn.config import EnvConfig
 from sdfgcn.evaluate import Env, Evaluation, evaluate
-from sdfgcn.viz import RECORDERS
+from sdfgcn.registry import RECORDERS
 
 
 def dying_world(config: EnvConfig) -> Env:

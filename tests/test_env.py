@@ -13,7 +13,7 @@ from toys import BALL, BOX, act, lay_out
 
 from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.sim.robots import ROBOTS
+from sdfgcn.registry import ROBOTS
 
 SIZE = 96
 SLOTS = 8

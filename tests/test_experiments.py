@@ -23,7 +23,7 @@ import pictures  # noqa: E402
 from sdfgcn.envs.rearrangement import RearrangementEnv  # noqa: E402
 from sdfgcn.envs.types import Scene as Seen  # noqa: E402
 from sdfgcn.errors import SdfgcnError  # noqa: E402
-from sdfgcn.perception.metrics import MaskScores, Score  # noqa: E402
+from sdfgcn.segmentation.metrics import MaskScores, Score  # noqa: E402
 
 SMALL = ("objects=household", "robot=gripper")
 

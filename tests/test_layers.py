@@ -10,15 +10,7 @@ import yaml
 from configs import CONF, real_config
 from omegaconf import OmegaConf
 
-from sdfgcn.loggers import LOGGERS
-from sdfgcn.objects.catalogue import SOURCES
-from sdfgcn.perception.encoders import ENCODERS
-from sdfgcn.perception.perceptions import PERCEPTIONS
-from sdfgcn.perception.segmenters import SEGMENTERS
-from sdfgcn.registry import MODELS
-from sdfgcn.sim.robots import ROBOTS
-from sdfgcn.sim.scenarios import SCENARIOS
-from sdfgcn.viz import RECORDERS
+from sdfgcn.registry import REGISTRIES, Registry
 
 ROOT = Path(__file__).parents[1]
 FILES = sorted((ROOT / "sdfgcn").rglob("*.py"))
@@ -30,9 +22,11 @@ LAYERS = (
     ("files", "opengl", "processes"),
     ("registry",),
     ("validation",),
+    ("compose",),
     ("geometry", "paper"),
+    ("report",),
     ("episodes", "loggers"),
-    ("runs",),
+    ("run_folder",),
     ("objects",),
     ("world",),
     ("push_space", "scene"),
@@ -50,22 +44,11 @@ LAYERS = (
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 
 # Each only in the folder that needs it.
-OPTIONAL = {"rerun": "viz", "trimesh": "objects", "coacd": "objects"}
+OPTIONAL = {"rerun": "viz", "trimesh": "sources", "coacd": "sources"}
 
 # Loaded only by what needs them; torch takes seconds, and MuJoCo fails to load without OpenGL.
-LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "mujoco", "dm_control", "statsmodels")
+LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "mujoco", "dm_control", "scipy")
 
-REGISTRIES = {
-    "encoder": ENCODERS,
-    "logger": LOGGERS,
-    "model": MODELS,
-    "objects": SOURCES,
-    "perception": PERCEPTIONS,
-    "robot": ROBOTS,
-    "scenario": SCENARIOS,
-    "segmentation": SEGMENTERS,
-    "viz": RECORDERS,
-}
 OPTIONS = sorted((path.parent.name, path.stem) for path in CONF.glob("*/*.yaml"))
 YAMLS = sorted(CONF.rglob("*.yaml"))
 
@@ -143,9 +126,9 @@ def test_an_optional_package_stays_in_its_folder(path: Path) -> None:
         assert package not in used or path.parent.name == folder
 
 
-@pytest.mark.parametrize("group", sorted(REGISTRIES))
-def test_registry_and_conf_name_the_same_things(group: str) -> None:
-    assert set(REGISTRIES[group]) == {path.stem for path in (CONF / group).glob("*.yaml")}
+@pytest.mark.parametrize("registry", REGISTRIES, ids=lambda registry: registry.group)
+def test_registry_and_conf_name_the_same_things(registry: Registry) -> None:
+    assert set(registry) == {path.stem for path in (CONF / registry.group).glob("*.yaml")}
 
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS)

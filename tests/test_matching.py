@@ -12,10 +12,10 @@ from safetensors.torch import save_file
 from sdfgcn.config import EncoderConfig
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.perception.encoders import ENCODERS
 from sdfgcn.perception.encoders.encoder import pool
 from sdfgcn.perception.encoders.resnet import DEPTHS, TorchvisionResNet
 from sdfgcn.perception.matching import Matcher
+from sdfgcn.registry import ENCODERS
 
 SIZE = 96
 

@@ -5,13 +5,13 @@ from collections.abc import Iterator
 import mujoco
 import numpy as np
 import pytest
+from configs import real_config
 from scipy.spatial import ConvexHull
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import Rotation
 
 from sdfgcn.config import SPLITS, ObjectsConfig
-from sdfgcn.objects.catalogue import SOURCES, catalogue_folder, load_catalogue
-from sdfgcn.objects.contact_sheet import read_config
+from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
 from sdfgcn.objects.fetch import scans_dir
 from sdfgcn.objects.model import ObjectModel
 
@@ -24,7 +24,7 @@ HOLLOW = {  # share of the hull that the pieces may fill
 
 @pytest.fixture(scope="module", params=["household", "scanned"])
 def cfg(request) -> Iterator[ObjectsConfig]:
-    cfg = read_config([f"objects={request.param}"])
+    cfg = real_config(f"objects={request.param}").env.objects
     if cfg.name == "scanned" and not (scans_dir().is_dir() and catalogue_folder(cfg).is_dir()):
         pytest.skip("the scanned catalogue is not in the cache")
     yield cfg
@@ -177,8 +177,3 @@ def compiled(model: ObjectModel) -> mujoco.MjModel:
         spec.add_mesh(name=f"piece{number}", uservert=piece.astype(float).ravel().tolist())
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"piece{number}", **surface)
     return spec.compile()
-
-
-def test_every_source_has_a_config():
-    for name in SOURCES:
-        assert read_config([f"objects={name}"]).name == name

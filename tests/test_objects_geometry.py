@@ -4,10 +4,10 @@ import struct
 
 import numpy as np
 import pytest
+from configs import real_config
 from scipy.spatial import ConvexHull
 
 from sdfgcn.objects import primitives
-from sdfgcn.objects.contact_sheet import read_config
 from sdfgcn.objects.convex import (
     compound_volume_centroid,
     diameter,
@@ -17,8 +17,8 @@ from sdfgcn.objects.convex import (
 )
 from sdfgcn.objects.meshes import decimate, mesh_volume, weld
 from sdfgcn.objects.primitives import box, circle, join, prism, turned_solid, turned_vessel
-from sdfgcn.objects.resting import find_rests
-from sdfgcn.objects.scanned import read_msh, read_stl
+from sdfgcn.objects.resting import components, find_rests
+from sdfgcn.objects.sources.scanned import read_msh, read_stl
 
 
 def test_compound_of_two_boxes():
@@ -84,6 +84,13 @@ def test_decimation_keeps_a_box_sharp():
     np.testing.assert_allclose(np.ptp(small, axis=0), 1.0, atol=1e-6)
 
 
+def test_linked_poses_are_grouped_in_order_of_their_first_member():
+    linked = np.eye(6, dtype=bool)
+    for one, other in ((0, 3), (3, 5), (1, 4)):
+        linked[one, other] = linked[other, one] = True
+    assert components(linked) == [[0, 3, 5], [1, 4], [2]]
+
+
 def test_decimation_keeps_uv_with_the_vertices():
     part = turned_solid([(1.0, z) for z in np.linspace(0, 2, 30)])
     uv = part.vertices[:, 1:] * 0.1  # a linear map: it must still hold after the reduction
@@ -128,7 +135,7 @@ def test_vessel_is_empty_inside():
 
 
 def test_a_flat_box_rests_on_its_six_faces_at_most():
-    cfg = read_config(["objects=household"])
+    cfg = real_config("objects=household").env.objects
     piece = box(0.08, 0.06, 0.02).moved(z=-0.01).vertices
     rests = find_rests([piece], cfg, np.random.default_rng(0))
     down = np.array([rotation.inv().apply([0, 0, -1]) for rotation, _ in rests])
@@ -138,7 +145,7 @@ def test_a_flat_box_rests_on_its_six_faces_at_most():
 
 
 def test_a_rolling_can_counts_as_one_family():
-    cfg = read_config(["objects=household"])
+    cfg = real_config("objects=household").env.objects
     piece = np.concatenate(
         [np.column_stack([circle(0.03, 24), np.full(24, z)]) for z in (-0.04, 0.04)]
     )

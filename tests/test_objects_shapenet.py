@@ -6,16 +6,16 @@ import sys
 
 import numpy as np
 import pytest
+from configs import real_config
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
-from sdfgcn.objects.contact_sheet import read_config
-from sdfgcn.objects.shapenet import divided, find_meshes
+from sdfgcn.objects.sources.shapenet import divided, find_meshes
 
 
 @pytest.fixture(scope="module")
 def base():
-    return read_config(["objects=shapenet"])
+    return real_config("objects=shapenet").env.objects
 
 
 @pytest.fixture

@@ -14,9 +14,8 @@ from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.graph import EDGES, scene_graph
 from sdfgcn.perception.perception import Perception
-from sdfgcn.perception.perceptions import PERCEPTIONS
 from sdfgcn.perception.vision import rows_of
-from sdfgcn.viz import RECORDERS
+from sdfgcn.registry import PERCEPTIONS, RECORDERS
 
 KEYS = ("sdf", "goal_sdf", "node_mask", "correspondence", "center", "position", "action_mask")
 

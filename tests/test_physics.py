@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from toys import BALL, BOX, CAN, TOYS, act, begin, lay_out
 
 from sdfgcn.envs.rearrangement import RearrangementEnv
+from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.episode import draw_episode
 from sdfgcn.sim.props import rolls
-from sdfgcn.sim.robots import ROBOTS
 
 GRAVITY = 9.81
 PUSHES = {"gripper": 12, "ur5e": 6}  # for each number of objects

@@ -9,8 +9,9 @@ from toys import BALL, BOX, CAN, SLAB, lay_out, push
 
 from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
+from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.push import direction_angle, direction_vector, ramped
-from sdfgcn.sim.robots import ROBOTS, Unreachable
+from sdfgcn.sim.robots.robot import Unreachable
 
 MIDDLE = np.array([0.02, 0.08])  # metres
 
@@ -72,7 +73,7 @@ def test_tool_follows_the_path(env, tips, direction):
     down, up = slice(0, low[0]), slice(low[-1] + 1, None)
 
     close = 0.001
-    if env._task.robot.jumps:
+    if env._task.robot.teleports:
         assert low[0] == 0  # it is put there
     else:
         assert path[0] == pytest.approx(config.height + config.approach, abs=0.004)  # one step on
@@ -86,7 +87,7 @@ def test_tool_follows_the_path(env, tips, direction):
     assert along[work].max() == pytest.approx(0.10, abs=close)
     # Straight up as the joints go, which for an arm is not quite straight.
     np.testing.assert_allclose(
-        along[up], 0.10 - config.retreat, atol=0.002 if env._task.robot.jumps else 0.010
+        along[up], 0.10 - config.retreat, atol=0.002 if env._task.robot.teleports else 0.010
     )
     # The fingers stand side by side across the push.
     assert np.abs(across[first:last] @ ahead).max() < 0.05

@@ -16,9 +16,10 @@ from sdfgcn.config import EnvConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.objects.model import ObjectModel
+from sdfgcn.registry import SCENARIOS
 from sdfgcn.sim.episode import Episode, draw_episode
 from sdfgcn.sim.placement import NoRoom
-from sdfgcn.sim.scenarios import SCENARIOS, Situation
+from sdfgcn.sim.scenarios.scenario import Situation
 from sdfgcn.sim.scenarios.swap import Swap
 
 SEEDS = range(4)

@@ -11,9 +11,9 @@ from toys import BALL, BOX, CAN, SLAB, act, begin, lay_out
 from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.geometry.camera import camera_model
+from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.arena import CAMERA, GROUP_SCENE
 from sdfgcn.sim.episode import draw_episode
-from sdfgcn.sim.robots import ROBOTS
 
 
 @pytest.fixture(scope="module", params=sorted(ROBOTS))

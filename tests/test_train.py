@@ -20,10 +20,10 @@ from sdfgcn.loggers import NoLogger
 from sdfgcn.models.q_network import QNetwork
 
 SMALL = (
-    *("objects=household", "robot=gripper", "model=sdfgcn", "n_objects=2", "train.split=test"),
+    *("objects=household", "robot=gripper", "model=sdfgcn", "n_objects=2", "train.env.split=test"),
     *("collector=sync", "collector.pushes_per_batch=10", "budget=smoke", "budget.pushes=40"),
     *("budget.minutes=null", "budget.epsilon_pushes=35", "train.learning_starts=10"),
-    *("train.updates_per_push=0.5", "train.target_interval=7", "train.log_pushes=10"),
+    *("train.utd_ratio=0.5", "train.target_interval=7", "train.log_pushes=10"),
     *("train.batch_size=8", "train.replay_capacity=30", "train.checkpoint_minutes=0"),
     "runtime.precision=float32",  # auto goes by times, and another precision gives other numbers
 )

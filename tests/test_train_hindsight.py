@@ -125,7 +125,7 @@ def test_off_makes_nothing() -> None:
 
 
 def test_next_is_the_push_itself() -> None:
-    hindsight = Hindsight(HerConfig(name="next", moved=MOVED), ENV)
+    hindsight = Hindsight(HerConfig(name="next", min_displacement=MOVED), ENV)
     two = torch.stack([push(moved((0.06, 0.0))), push(moved((0.0, 0.0)))])
     made = hindsight(two)
     assert made is not None
@@ -134,7 +134,7 @@ def test_next_is_the_push_itself() -> None:
 
 def test_future_waits_for_the_episodes_end() -> None:
     torch.manual_seed(0)
-    hindsight = Hindsight(HerConfig(name="future", moved=MOVED, per_push=20), ENV)
+    hindsight = Hindsight(HerConfig(name="future", min_displacement=MOVED, per_push=20), ENV)
     first = push(moved((0.06, 0.0)))
     last = push(moved((0.0, 0.1)), terminated=True)
     assert hindsight(first[None]) is None

@@ -136,7 +136,7 @@ def test_epsilon_falls_and_pushes_are_legal() -> None:
 
 
 def test_the_average_is_exponential() -> None:
-    held = learner(averaging=0.75)
+    held = learner(ema_decay=0.75)
     seen = []
     for _ in range(3):
         held.update(batch(3.0, True, [0]))
@@ -147,7 +147,7 @@ def test_the_average_is_exponential() -> None:
 
 
 def test_the_average_goes_on_from_a_checkpoint() -> None:
-    there, here = learner(averaging=0.75), learner(averaging=0.75)
+    there, here = learner(ema_decay=0.75), learner(ema_decay=0.75)
     there.update(batch(3.0, True, [0]))
     here.load_state_dict(copy.deepcopy(there.state_dict()))
     for held in (there, here):

@@ -25,14 +25,14 @@ from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.experiment import run_experiment
 from sdfgcn.loggers import TensorboardLogger, WandbLogger
-from sdfgcn.runs import RunFolder
+from sdfgcn.run_folder import RunFolder
 from sdfgcn.validation import typed
 
 ROOT = Path(__file__).parents[1]
 # Every episode succeeds, and each success brings in the next count.
 GROWING = (
     *("env.success_threshold=1.0", "curriculum=on", "curriculum.counts=[1,2,3]"),
-    *("curriculum.window=1", "curriculum.bar=0.0", "curriculum.newest_share=1.0"),
+    *("curriculum.window=1", "curriculum.success_threshold=0.0", "curriculum.newest_share=1.0"),
 )
 SMALL = (
     *("objects=household", "robot=gripper", "n_objects=2", "env.pushes_per_object=1"),

@@ -16,8 +16,8 @@ from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.geometry.camera import CameraModel
 from sdfgcn.objects.model import ObjectModel, Rest
+from sdfgcn.registry import RECORDERS
 from sdfgcn.sim.types import Push
-from sdfgcn.viz import RECORDERS
 from sdfgcn.viz.geometry import edge_strips, node_slots, vertex_normals, zero_contour
 from sdfgcn.viz.words import q_table
 
@@ -404,15 +404,14 @@ def test_vertex_normals_of_a_cube():
 
 
 def test_edges_leave_out_hidden_and_unmatched_nodes():
-    masks, goal_masks = (scene(points, order=[0, 1, 2]).masks for points in (START, GOAL))
-    masks[0] = False
-    goal_masks[1] = False
-    strips, to_goal = edge_strips(masks, goal_masks, np.array([False, True, True]))
+    goal = scene(GOAL, order=[0, 1, 2])
+    goal.masks[1] = False  # hidden in the goal
+    current = replace(scene(START, order=[0, 1, 2]), correspondence=np.array([-1, 1, 2]))
+    current.masks[0] = False
+    strips, to_goal = edge_strips(current, goal)
     np.testing.assert_allclose(strips, [[[48, 24], [72, 72]], [[72, 72], [72, 24]]])
     np.testing.assert_array_equal(to_goal, [False, True])
-    unmatched, _ = edge_strips(masks, goal_masks, np.zeros(3, dtype=bool))
-    np.testing.assert_allclose(unmatched, [[[48, 24], [72, 72]]])
-    nothing, _ = edge_strips(masks[:0], goal_masks[:0], np.zeros(0, dtype=bool))
+    nothing, _ = edge_strips(scene(START, order=[]), goal)
     assert nothing.shape == (0, 2, 2)
 
 

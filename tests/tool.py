@@ -8,7 +8,7 @@ import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
 
-from sdfgcn.sim.robots import Robot
+from sdfgcn.sim.robots.robot import Robot
 
 DOWN = 0.3  # metres above the table where the tool is looked at
 

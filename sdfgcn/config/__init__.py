@@ -4,7 +4,16 @@ The numbers live in YAML. A dataclass here names each key and types it; what a t
 `sdfgcn/validation.py` does, in sentences. Nothing mutates a config once it is built.
 """
 
-from sdfgcn.config.base import N_DIRECTIONS, SPLITS, ComponentConfig, lookup
+from sdfgcn.config.base import (
+    N_DIRECTIONS,
+    SPLITS,
+    ComponentConfig,
+    check_above_zero,
+    check_at_least,
+    check_choice,
+    check_share,
+    lookup,
+)
 from sdfgcn.config.env import (
     ArenaConfig,
     EncoderConfig,
@@ -24,24 +33,24 @@ from sdfgcn.config.experiment import (
     LoggerConfig,
     RuntimeConfig,
     VizConfig,
-    register_schema,
 )
 from sdfgcn.config.model import ModelConfig, QNetworkConfig
 from sdfgcn.config.train import (
+    ArrangementsConfig,
     AugmentConfig,
     BudgetConfig,
     CollectorConfig,
     CurriculumConfig,
     HerConfig,
-    ScenesConfig,
+    SegmentationTrainingConfig,
     TrainConfig,
-    TrainUCNConfig,
 )
 
 __all__ = [
     "N_DIRECTIONS",
     "SPLITS",
     "ArenaConfig",
+    "ArrangementsConfig",
     "AugmentConfig",
     "BudgetConfig",
     "CollectorConfig",
@@ -63,11 +72,13 @@ __all__ = [
     "RobotConfig",
     "RuntimeConfig",
     "ScenarioConfig",
-    "ScenesConfig",
     "SegmentationConfig",
+    "SegmentationTrainingConfig",
     "TrainConfig",
-    "TrainUCNConfig",
     "VizConfig",
+    "check_above_zero",
+    "check_at_least",
+    "check_choice",
+    "check_share",
     "lookup",
-    "register_schema",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
@@ -35,6 +35,50 @@ class ComponentConfig:
         Raises:
             SdfgcnError: One sentence that names the key, the value seen and what would work.
         """
+
+
+def check_at_least(least: float, values: Mapping[str, float]) -> None:
+    """Check values by key.
+
+    Raises:
+        SdfgcnError: One of them is below `least`.
+    """
+    for key, value in values.items():
+        if value < least:
+            raise SdfgcnError(f"{key} is {value}, but must be at least {least}.")
+
+
+def check_above_zero(values: Mapping[str, float]) -> None:
+    """Check values by key.
+
+    Raises:
+        SdfgcnError: One of them is 0 or below.
+    """
+    for key, value in values.items():
+        if value <= 0:
+            raise SdfgcnError(f"{key} is {value}, but must be above 0.")
+
+
+def check_share(values: Mapping[str, float]) -> None:
+    """Check values by key.
+
+    Raises:
+        SdfgcnError: One of them is not between 0 and 1.
+    """
+    for key, value in values.items():
+        if not 0.0 <= value <= 1.0:
+            raise SdfgcnError(f"{key} is {value}, but must lie between 0 and 1.")
+
+
+def check_choice(names: Collection[str], values: Mapping[str, str]) -> None:
+    """Check values by key.
+
+    Raises:
+        SdfgcnError: One of them is none of `names`.
+    """
+    for key, value in values.items():
+        if value not in names:
+            raise SdfgcnError(f"{key} is '{value}', but must be one of {', '.join(names)}.")
 
 
 def lookup(registry: Mapping[str, T], key: str, name: str) -> T:

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from omegaconf import MISSING
 
-from sdfgcn.config.base import ComponentConfig
+from sdfgcn.config.base import ComponentConfig, check_above_zero, check_at_least
+from sdfgcn.errors import SdfgcnError
+
+if TYPE_CHECKING:
+    from sdfgcn.config.experiment import Config
 
 
 @dataclass
@@ -31,23 +36,72 @@ class ObjectsConfig(ComponentConfig):
     settle_min_probability: float = MISSING
     settle_min_tilt: float = MISSING
     palette: list[list[float]] = MISSING
-    root: str | None = None
-    split_file: str | None = None
+
+    def check(self, config: Config) -> None:
+        """See `check_limits`, which needs nothing else of the config."""
+        self.check_limits()
+
+    def check_limits(self) -> None:
+        """Check the catalogue's limits, alone and against each other.
+
+        Raises:
+            SdfgcnError: One sentence that names the key, the value seen and what would work.
+        """
+        for low, high in (("footprint_min", "footprint_max"), ("mass_min", "mass_max")):
+            smallest, largest = getattr(self, low), getattr(self, high)
+            if not 0 < smallest < largest:
+                raise SdfgcnError(
+                    f"env.objects.{low} is {smallest} and env.objects.{high} is {largest}, but the "
+                    f"first must be above 0 and below the second."
+                )
+        for key in ("height_max", "thickness_min", "density", "settle_seconds", "settle_speed"):
+            value = getattr(self, key)
+            if value <= 0:
+                raise SdfgcnError(f"env.objects.{key} is {value}, but must be above 0.")
+        for key, least in (
+            ("max_faces", 100),
+            ("max_pieces", 1),
+            ("max_piece_vertices", 8),
+            ("texture_size", 1),
+            ("settle_drops", 1),
+        ):
+            value = getattr(self, key)
+            if value < least:
+                raise SdfgcnError(f"env.objects.{key} is {value}, but must be at least {least}.")
+        if not 0 <= self.settle_min_probability < 1:
+            raise SdfgcnError(
+                f"env.objects.settle_min_probability is {self.settle_min_probability}, but must be "
+                "at least 0 and below 1."
+            )
+        if len(self.settle_friction) != 3:
+            raise SdfgcnError(
+                f"env.objects.settle_friction is {self.settle_friction}, but must hold three "
+                "numbers: sliding, torsional and rolling friction."
+            )
+        if not self.palette or not all(
+            len(colour) == 3 and all(0 <= part <= 1 for part in colour) for colour in self.palette
+        ):
+            raise SdfgcnError(
+                f"env.objects.palette is {self.palette}, but must list colours of three numbers "
+                "between 0 and 1 (red, green, blue)."
+            )
 
 
 @dataclass
 class RobotConfig(ComponentConfig):
-    """What executes the push (`conf/robot/`); a key that a robot has no use for is zero."""
+    """What executes the push (`conf/robot/`)."""
 
     home: list[float] = MISSING
     lead: float = MISSING
     acceleration: float = MISSING
-    base_position: list[float] = field(default_factory=list)
-    ik_tolerance: float = 0.0
-    ik_steps: int = 0
-    stiffness: float = 0.0
-    yaw_stiffness: float = 0.0
-    force_limit: float = 0.0
+
+    def check(self, config: Config) -> None:
+        """Check the tool's acceleration.
+
+        Raises:
+            SdfgcnError: See `ComponentConfig.check`.
+        """
+        check_above_zero({"env.robot.acceleration": self.acceleration})
 
 
 @dataclass
@@ -131,8 +185,6 @@ class RewardConfig:
 class EncoderConfig(ComponentConfig):
     """What tells objects apart for matching (`conf/encoder/`)."""
 
-    path: str | None = None
-    depth: int = 0
     stages: list[int] = MISSING
     patch: float = MISSING
     input_size: int = MISSING
@@ -140,24 +192,24 @@ class EncoderConfig(ComponentConfig):
     color_weight: float = MISSING
     camera_tilt: float = MISSING
 
+    def check(self, config: Config) -> None:
+        """Check the numbers of the patches.
+
+        Raises:
+            SdfgcnError: See `ComponentConfig.check`.
+        """
+        if not 0 < self.patch <= 1:
+            raise SdfgcnError(
+                f"env.perception.encoder.patch is {self.patch}, but must be above 0 and at most 1."
+            )
+        check_at_least(32, {"env.perception.encoder.input_size": self.input_size})
+        check_at_least(1, {"env.perception.encoder.rotations": self.rotations})
+        check_at_least(0, {"env.perception.encoder.color_weight": self.color_weight})
+
 
 @dataclass
 class SegmentationConfig(ComponentConfig):
     """How masks are found in a picture (`conf/segmentation/`)."""
-
-    weights: str | None = None
-    channels: int = MISSING
-    widths: list[int] = MISSING
-    embedding: int = MISSING
-    table_distance: float = MISSING
-    seeds: int = MISSING
-    seed_distance: float = MISSING
-    concentration: float = MISSING
-    iterations: int = MISSING
-    merge_distance: float = MISSING
-    part_gap: int = MISSING
-    max_hole: int | None = None
-    min_pixels: int = MISSING
 
 
 @dataclass

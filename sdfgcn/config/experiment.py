@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 from omegaconf import MISSING
 
@@ -25,10 +24,12 @@ class EvalConfig:
     """How a method is evaluated (`conf/eval/`)."""
 
     name: str = MISSING
+    seed: int = MISSING
     episodes: int = MISSING
     split: str = MISSING
     epsilon: float = MISSING
     loop_distance: float | None = None
+    seed: int = 0
 
 
 @dataclass
@@ -73,17 +74,3 @@ class Config:
     logger: LoggerConfig = field(default_factory=LoggerConfig)
     viz: VizConfig = field(default_factory=VizConfig)
     runtime: RuntimeConfig = field(default_factory=RuntimeConfig)
-
-
-@dataclass
-class _Composed(Config):
-    """The schema without the model, whose type follows from its name."""
-
-    model: dict[str, Any] = field(default_factory=dict)  # type: ignore[assignment]
-
-
-def register_schema() -> None:
-    """Tell Hydra the types, so that it refuses an unknown key or a value of the wrong type."""
-    from hydra.core.config_store import ConfigStore  # a trained policy is used without Hydra
-
-    ConfigStore.instance().store(name="schema", node=_Composed)

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from omegaconf import MISSING
 
-from sdfgcn.config.env import EnvConfig, ObjectsConfig, RobotConfig
+from sdfgcn.config.env import EnvConfig, ObjectsConfig
 
 
 @dataclass
@@ -24,7 +24,7 @@ class CollectorConfig:
     """Who pushes while a Q-network learns (`conf/collector/`)."""
 
     name: str = MISSING
-    workers: int = MISSING
+    workers: int = 1
     pushes_per_batch: int = MISSING
 
 
@@ -35,7 +35,7 @@ class CurriculumConfig:
     name: str = MISSING
     counts: list[int] = field(default_factory=list)
     window: int = 0
-    bar: float = 0.0
+    success_threshold: float = 0.0
     newest_share: float = 0.0
 
 
@@ -44,8 +44,8 @@ class HerConfig:
     """Hindsight experience replay (`conf/her/`)."""
 
     name: str = MISSING
-    moved: float = 0.0
-    per_push: int = 0
+    min_displacement: float = 0.0
+    per_push: int = 1
 
 
 @dataclass
@@ -61,8 +61,6 @@ class TrainConfig:
     """How a Q-network learns (`conf/train/`)."""
 
     name: str = MISSING
-    split: str = MISSING
-    pushes_per_object: int = MISSING
     discount: float = MISSING
     learning_rate: float = MISSING
     loss: str = MISSING
@@ -71,20 +69,22 @@ class TrainConfig:
     replay_capacity: int = MISSING
     learning_starts: int = MISSING
     target_interval: int = MISSING
-    averaging: float = MISSING
-    updates_per_push: float = MISSING
-    max_updates_per_push: float = MISSING
+    ema_decay: float = MISSING
+    utd_ratio: float = MISSING
+    max_utd_ratio: float = MISSING
     epsilon_start: float = MISSING
     epsilon_end: float = MISSING
     sdf_cache: int = MISSING
     log_pushes: int = MISSING
     checkpoint_minutes: float = MISSING
-    robot: RobotConfig = field(default_factory=RobotConfig)
+    eval_pushes: int | None = None
+    eval_episodes: int = MISSING
+    env: EnvConfig = field(default_factory=EnvConfig)
 
 
 @dataclass
-class ScenesConfig:
-    """The pictures that a segmenter is trained on (`conf/train_ucn.yaml`)."""
+class ArrangementsConfig:
+    """The pictures that a segmenter is trained on (`conf/train_segmentation.yaml`)."""
 
     layouts: int = MISSING
     appearances: int = MISSING
@@ -110,8 +110,8 @@ class ScenesConfig:
 
 
 @dataclass
-class TrainUCNConfig:
-    """Training of the segmentation network (`conf/train_ucn.yaml`)."""
+class SegmentationTrainingConfig:
+    """Training of the segmentation network (`conf/train_segmentation.yaml`)."""
 
     seed: int = MISSING
     n_objects: int = MISSING
@@ -126,6 +126,6 @@ class TrainUCNConfig:
     torch_threads: int = MISSING
     checkpoint_steps: int = MISSING
     validation_scenes: int = MISSING
-    scenes: ScenesConfig = field(default_factory=ScenesConfig)
+    arrangements: ArrangementsConfig = field(default_factory=ArrangementsConfig)
     catalogues: dict[str, ObjectsConfig] = field(default_factory=dict)
     env: EnvConfig = field(default_factory=EnvConfig)

@@ -11,10 +11,9 @@ import torch
 from omegaconf import MISSING
 from torch import Tensor, nn
 
-from sdfgcn.config import QNetworkConfig, lookup
-from sdfgcn.models.checks import check_above_zero, check_widths
+from sdfgcn.config import QNetworkConfig, check_above_zero, lookup
 from sdfgcn.models.graph import EDGES, OccupiedNodes
-from sdfgcn.models.layers import PROPAGATIONS, Propagation, linear_block, q_head
+from sdfgcn.models.layers import PROPAGATIONS, Propagation, check_widths, linear_block, q_head
 from sdfgcn.models.q_network import QNetwork, spread_to_rows
 from sdfgcn.registry import MODELS
 from sdfgcn.scene import Scene
@@ -52,8 +51,7 @@ class PoseGcnConfig(QNetworkConfig):
         lookup(EDGES, "model.edges", self.edges)
         lookup(PROPAGATIONS, "model.propagation", self.propagation)
         check_widths("model.channels", self.channels, self.channels)
-        check_above_zero("model.hidden", self.hidden)
-        check_above_zero("model.position_unit", self.position_unit)
+        check_above_zero({"model.hidden": self.hidden, "model.position_unit": self.position_unit})
 
 
 @MODELS.register("pose_gcn", "gt_pose_gcn", config=PoseGcnConfig)

@@ -1,54 +1,27 @@
-"""The registry of object sources, and the one way to load a catalogue."""
+"""Loading a catalogue from the cache, which is built on first use."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import logging
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 from tqdm import tqdm
 
-from sdfgcn.config import SPLITS, ObjectsConfig, lookup
+from sdfgcn.config import SPLITS, ObjectsConfig
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.objects import household, scanned, shapenet
-from sdfgcn.objects.model import ObjectModel, Recipe
+from sdfgcn.objects.model import ObjectModel
 from sdfgcn.objects.prepare import prepare
 from sdfgcn.objects.storage import cache_dir, read_models, write_models
-from sdfgcn.validation import validate_objects
+from sdfgcn.registry import OBJECTS
 
 FORMAT = 3  # raise it whenever the same settings would now give other objects
-_NOT_IN_KEY = ("palette", "root", "split_file")  # these do not change what is cached, or see below
+# The palette does not change what is cached; the two others are part of the fingerprint.
+_NOT_IN_KEY = ("palette", "root", "split_file")
 
 log = logging.getLogger(__name__)
-
-
-def _no_fingerprint(cfg: ObjectsConfig) -> str:
-    return ""
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where objects come from.
-
-    Attributes:
-        recipes: Lists every object of both splits; may download. Called only to build a cache.
-        fingerprint: Text that changes when the same settings would give other objects.
-        lenient: Leave out an object that cannot be built, with a warning, instead of failing.
-    """
-
-    recipes: Callable[[ObjectsConfig], list[Recipe]]
-    fingerprint: Callable[[ObjectsConfig], str] = _no_fingerprint
-    lenient: bool = False
-
-
-SOURCES: dict[str, Source] = {
-    "scanned": Source(scanned.recipes),
-    "household": Source(household.recipes),
-    "shapenet": Source(shapenet.recipes, shapenet.fingerprint, lenient=True),
-}
 
 
 def load_catalogue(cfg: ObjectsConfig, split: str) -> tuple[ObjectModel, ...]:
@@ -65,10 +38,10 @@ def load_catalogue(cfg: ObjectsConfig, split: str) -> tuple[ObjectModel, ...]:
         SdfgcnError: An unknown source or split, a contradictory limit, a damaged or unwritable
             cache, no network for `scanned`, a bad directory for `shapenet`, or an empty split.
     """
-    lookup(SOURCES, "objects", cfg.name)
+    OBJECTS.find(cfg.name)
     if split not in SPLITS:
         raise SdfgcnError(f"The split is '{split}', but must be one of {', '.join(SPLITS)}.")
-    validate_objects(cfg)
+    cfg.check_limits()
     folder = catalogue_folder(cfg)
     if not folder.is_dir():
         write_models(folder, _build(cfg))
@@ -81,13 +54,13 @@ def load_catalogue(cfg: ObjectsConfig, split: str) -> tuple[ObjectModel, ...]:
 def catalogue_folder(cfg: ObjectsConfig) -> Path:
     """Return the folder in which a catalogue with these settings is cached."""
     settings = {key: value for key, value in asdict(cfg).items() if key not in _NOT_IN_KEY}
-    settings |= {"format": FORMAT, "fingerprint": SOURCES[cfg.name].fingerprint(cfg)}
+    settings |= {"format": FORMAT, "fingerprint": OBJECTS.find(cfg.name).fingerprint(cfg)}
     key = hashlib.sha256(json.dumps(settings, sort_keys=True).encode()).hexdigest()[:16]
     return cache_dir() / "objects" / f"{cfg.name}-{key}"
 
 
 def _build(cfg: ObjectsConfig) -> list[ObjectModel]:
-    source = SOURCES[cfg.name]
+    source = OBJECTS.find(cfg.name)
     models = []
     bar = tqdm(
         source.recipes(cfg), desc=f"Building the {cfg.name} catalogue", unit="object", disable=None

@@ -1,33 +1,29 @@
-"""Every object of a catalogue in one picture.
+"""Draw every object of a catalogue in one picture.
 
-`python -m sdfgcn.objects.contact_sheet objects=scanned out=contact_sheet.png` takes the same
-overrides as `run.py`; `pieces=true` draws the convex collision pieces instead of the mesh.
+`python -m sdfgcn.objects.contact_sheet objects=scanned out=contact_sheet.png` takes the overrides
+of the command `sdfgcn`; `pieces=true` draws the convex collision pieces instead of the mesh.
 """
 
 from __future__ import annotations
 
-import os
 import sys
 from pathlib import Path
 
-os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo loads: render without a display
-
 import mujoco
 import numpy as np
-from hydra import compose, initialize_config_dir
 from hydra.errors import HydraException
 from numpy.typing import NDArray
 from omegaconf.errors import OmegaConfBaseException
 from PIL import Image, ImageDraw
 from tqdm import tqdm
 
-from sdfgcn.config import SPLITS, ObjectsConfig, register_schema
+from sdfgcn.compose import load_config
+from sdfgcn.config import SPLITS, ObjectsConfig
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import replaced
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.objects.model import ObjectModel
-from sdfgcn.validation import typed
 
-CONF = Path(__file__).resolve().parents[2] / "conf"
 TILE = 200  # pixels, side of one object's picture
 CAPTION = 46  # pixels below it
 COLUMNS = 8
@@ -129,23 +125,17 @@ def _rendered(model: mujoco.MjModel) -> NDArray[np.uint8]:
         return renderer.render()
 
 
-def read_config(overrides: list[str]) -> ObjectsConfig:
-    """Compose the experiment's config as `run.py` does and return its catalogue part."""
-    register_schema()
-    with initialize_config_dir(str(CONF), version_base="1.3"):
-        return typed(compose("config", overrides)).env.objects
-
-
 def main(arguments: list[str]) -> int:
     """Draw the sheet that the arguments ask for; return the exit code."""
     own = dict(a.split("=", 1) for a in arguments if a.startswith(("out=", "pieces=")))
     out = Path(own.get("out", "contact_sheet.png"))
     overrides = [a for a in arguments if not a.startswith(("out=", "pieces="))]
     try:
-        sheet = draw_sheet(read_config(overrides), pieces=own.get("pieces", "false") == "true")
-        part = out.with_name(f".{out.name}.part")
-        sheet.save(part, format="PNG")
-        part.replace(out)
+        sheet = draw_sheet(
+            load_config(*overrides).env.objects, pieces=own.get("pieces", "false") == "true"
+        )
+        with replaced(out) as part:
+            sheet.save(part, format="PNG")
     except (SdfgcnError, HydraException, OmegaConfBaseException, OSError) as error:
         print(str(error).splitlines()[0], file=sys.stderr)
         return 1

@@ -1,14 +1,18 @@
-"""What a catalogue holds: object models and the poses in which they rest."""
+"""The types of this package: object models with their resting poses, and sources of objects."""
 
 from __future__ import annotations
 
 import functools
+import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
+
+from sdfgcn.config import ObjectsConfig
 
 
 @dataclass(frozen=True)
@@ -42,7 +46,7 @@ class ObjectModel:
         vertices: Visual mesh, float32 [V, 3].
         faces: Visual mesh, int32 [F, 3], counter-clockwise from outside.
         uv: Texture coordinates, float32 [V, 2], or None. (0, 0) is the first pixel of the first
-            row, as MuJoCo reads it (an OBJ file has v upside down).
+            row, as MuJoCo reads it (in an OBJ file v runs the other way).
         texture: uint8 [T, T, 3], or None where the colour is drawn per episode.
         pieces: Convex collision pieces, each its hull vertices, float32 [P, 3].
         mass: Kilograms.
@@ -62,7 +66,7 @@ class ObjectModel:
 
     @functools.cached_property
     def hull(self) -> NDArray[np.float32]:
-        """[K, 3] the vertices of the visual mesh's convex hull; they alone make its outline."""
+        """Vertices of the visual mesh's convex hull, [K, 3]; only they can lie on its outline."""
         return self.vertices[ConvexHull(self.vertices).vertices]
 
 
@@ -96,3 +100,27 @@ class Recipe:
     category: str
     split: str
     build: Callable[[], Shape]
+
+
+def _no_fingerprint(cfg: ObjectsConfig) -> str:
+    return ""
+
+
+@dataclass(frozen=True)
+class Source:
+    """Where objects come from; `sdfgcn/objects/sources/` registers each by name.
+
+    Attributes:
+        recipes: Lists every object of both splits; may download. Called only to build a cache.
+        fingerprint: Text that changes when the same settings would give other objects.
+        lenient: Leave out an object that cannot be built, with a warning, instead of failing.
+    """
+
+    recipes: Callable[[Any], list[Recipe]]  # takes the source's own subclass of ObjectsConfig
+    fingerprint: Callable[[Any], str] = _no_fingerprint
+    lenient: bool = False
+
+
+def name_generator(name: str) -> np.random.Generator:
+    """Return a generator that depends on the object's name alone, so that builds agree."""
+    return np.random.default_rng(int.from_bytes(hashlib.sha256(name.encode()).digest()[:8]))

@@ -8,16 +8,17 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull, QhullError
 from scipy.spatial.transform import Rotation
 
 from sdfgcn.config import ObjectsConfig
 from sdfgcn.objects.model import Rest
 
-SAME_FACE = np.deg2rad(15.0)  # two drops lie on the same face when their down directions are close
+SAME_FACE = np.deg2rad(15.0)  # down directions closer than this belong to the same face
 TIMESTEP = 0.002  # s
-SOLREF = (0.005, 1.0)  # a softer contact lets flat faces tremble on three points for ever
-STILL_SECONDS = 0.1  # an object counts as at rest after being slower than `settle_speed` this long
+SOLREF = (0.005, 1.0)  # with a softer contact, flat faces tremble on three points for ever
+STILL_SECONDS = 0.1  # at rest: slower than `settle_speed` for this long
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,8 @@ def find_rests(
     """Drop a body from random orientations and group where it comes to rest.
 
     Drops that still move after `settle_seconds` are left out, and so are poses rarer than
-    `settle_min_probability`. A family of poses that look alike from the table (a cylinder on its
-    side at any roll angle) counts as one pose, so that it is not lost by being split up.
+    `settle_min_probability`. A family of poses that look alike (a cylinder on its side at any roll
+    angle) counts as one pose, because each of its members alone would be too rare to keep.
 
     Args:
         pieces: Convex pieces about their common centroid, each [P, 3], metres.
@@ -130,8 +131,8 @@ def _group(
     close = np.arccos(np.clip(down @ down.T, -1, 1)) < SAME_FACE
     size = np.linalg.norm(points, axis=1).max()
     alike = np.linalg.norm(signature[:, None] - signature, axis=2) < 0.04 * size
-    faces = _components(close & alike)
-    families = _components(alike)
+    faces = components(close & alike)
+    families = components(alike)
     kept: list[tuple[int, float]] = []
     for family in families:
         share = len(family) / len(settled)
@@ -148,27 +149,16 @@ def _group(
 
 
 def _signature(rotation: Rotation, points: NDArray) -> NDArray:
-    """Lengths (m) that do not change with yaw nor, for a round body, with roll angle."""
+    """Lengths (m) that do not depend on yaw or, for a round body, on the roll angle; [4]."""
     turned = rotation.apply(points)
     spread = np.sqrt(np.linalg.eigvalsh(np.cov(turned[:, :2].T)).clip(0))
     return np.array([-turned[:, 2].min(), turned[:, 2].max(), *spread])
 
 
-def _components(linked: NDArray) -> list[list[int]]:
+def components(linked: NDArray) -> list[list[int]]:
     """Connected groups of a symmetric boolean matrix [n, n], in order of their first member."""
-    groups: list[list[int]] = []
-    free = set(range(len(linked)))
-    while free:
-        queue = [min(free)]
-        group: list[int] = []
-        while queue:
-            index = queue.pop()
-            if index in free:
-                free.remove(index)
-                group.append(index)
-                queue += [int(k) for k in np.flatnonzero(linked[index]) if k in free]
-        groups.append(sorted(group))
-    return groups
+    count, labels = connected_components(linked, directed=False)
+    return sorted(np.flatnonzero(labels == label).tolist() for label in range(count))
 
 
 def _middle(face: list[int], down: NDArray) -> int:

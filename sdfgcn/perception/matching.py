@@ -16,9 +16,9 @@ from scipy.optimize import linear_sum_assignment
 from torch import Tensor
 from torch.nn.functional import grid_sample, normalize
 
-from sdfgcn.config import EncoderConfig, lookup
-from sdfgcn.perception.encoders import ENCODERS
+from sdfgcn.config import EncoderConfig
 from sdfgcn.perception.encoders.encoder import IMAGENET_MEAN, IMAGENET_STD
+from sdfgcn.registry import ENCODERS
 
 KEPT_FEATURES = 512  # objects' features that a matcher remembers, a kilobyte each
 _MEAN = np.array(IMAGENET_MEAN, dtype=np.float32)
@@ -39,7 +39,7 @@ class Matcher:
             SdfgcnError: There is no such encoder, or its weights cannot be had.
         """
         self._config = config
-        self._encoder = lookup(ENCODERS, "env.perception.encoder.name", config.name)(config)
+        self._encoder = ENCODERS.find(config.name)(config)
         turns = torch.arange(config.rotations) * (2.0 * math.pi / config.rotations)
         self._offsets = _offsets(config.input_size, turns, math.radians(config.camera_tilt))
         self._remembered = functools.lru_cache(maxsize=KEPT_FEATURES)(self._encode)

@@ -12,14 +12,15 @@ from scipy.spatial.transform import Rotation
 from sdfgcn.config import EnvConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.model import ObjectModel, Rest
+from sdfgcn.registry import SCENARIOS
 from sdfgcn.sim.placement import NoRoom, footprint
-from sdfgcn.sim.scenarios import SCENARIOS, Scenario, Situation
+from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 MAX_DRAWS = 200  # sets of objects and layouts tried before an episode is called impossible
 
 
 @dataclass(frozen=True)
-class Episode:
+class EpisodeSpec:
     """Everything random about an episode, drawn before it begins.
 
     Attributes:
@@ -37,7 +38,7 @@ class Episode:
     colors: NDArray[np.float64]
 
 
-def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig) -> Episode:
+def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig) -> EpisodeSpec:
     """Draw an episode from its seed alone.
 
     Args:
@@ -77,7 +78,7 @@ def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig)
         except NoRoom:
             continue
         heights = [[rest.height] for rest in rests]
-        return Episode(
+        return EpisodeSpec(
             seed=seed,
             objects=chosen,
             start=np.hstack([layout.start, heights, start]),

@@ -1,8 +1,8 @@
 """Recordings of episodes, one file each, to look at push by push.
 
-`RECORDERS` maps `viz.name` to a function that makes the recorder of one episode:
+`RECORDERS` of the registry maps `viz.name` to a function that makes the recorder of one episode:
 
-    with RECORDERS[config.viz.name](path, config.env) as recorder:
+    with RECORDERS.find(config.viz.name)(path, config.env) as recorder:
         recorder.start(env.episode_start)
         for step in steps:
             recorder.step(step)
@@ -12,14 +12,15 @@ The file at `path` appears when the block ends without an exception, whole or no
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Protocol, Self
 
+from sdfgcn.registry import RECORDERS
+
 if TYPE_CHECKING:
     from sdfgcn.config import EnvConfig
-    from sdfgcn.envs.types import EpisodeStart, StepRecord
+    from sdfgcn.envs.records import EpisodeStart, StepRecord
 
 
 class Recorder(Protocol):
@@ -60,15 +61,14 @@ class NullRecorder(Recorder):
         """Do nothing."""
 
 
+@RECORDERS.register("none")
 def _null(path: Path, env: EnvConfig) -> Recorder:
     return NullRecorder()
 
 
+@RECORDERS.register("rerun")
 def _rerun(path: Path, env: EnvConfig) -> Recorder:
     # Imported here: rerun takes a while to load, and a run without recordings needs none of it.
     from sdfgcn.viz.rerun_recorder import RerunRecorder
 
     return RerunRecorder(path, env)
-
-
-RECORDERS: dict[str, Callable[[Path, EnvConfig], Recorder]] = {"none": _null, "rerun": _rerun}

@@ -10,11 +10,13 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from sdfgcn.config import EncoderConfig
 from sdfgcn.perception.encoders.encoder import Encoder
+from sdfgcn.registry import ENCODERS
 
 # The blocks of stage k are _BOUNDS[k - 1] to _BOUNDS[k] (Tan and Le 2019, table 1).
 _BOUNDS = (0, 1, 3, 5, 8, 11, 15, 16)
 
 
+@ENCODERS.register("efficientnet_lite0")
 class EfficientNetLite0(Encoder):
     """The seven stages of inverted bottlenecks; 407 million multiplications at 224x224."""
 

@@ -8,16 +8,24 @@ from __future__ import annotations
 
 import pickle
 import re
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from omegaconf import MISSING
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from sdfgcn.config import EncoderConfig
+from sdfgcn.config import Config, EncoderConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.perception.encoders.encoder import Encoder
+from sdfgcn.registry import ENCODERS
 
 _WIDTHS = (64, 128, 256, 512)
+_UNREADABLE = (
+    *(OSError, EOFError, RuntimeError, ValueError, pickle.UnpicklingError, SafetensorError),
+)
 
 
 class BasicBlock(nn.Module):
@@ -100,24 +108,41 @@ class TorchvisionResNet(nn.Module):
         self.fc = nn.Linear(inputs, 1000)
 
 
+@dataclass
+class ResNetConfig(EncoderConfig):
+    """Which network, and its weights."""
+
+    path: str | None = None
+    depth: int = MISSING
+
+    def check(self, config: Config) -> None:
+        """Check the depth as well.
+
+        Raises:
+            SdfgcnError: See `ComponentConfig.check`.
+        """
+        super().check(config)
+        if self.depth not in DEPTHS:
+            raise SdfgcnError(
+                f"env.perception.encoder.depth is {self.depth}, but must be one of "
+                f"{', '.join(map(str, DEPTHS))}."
+            )
+
+
+@ENCODERS.register("resnet", config=ResNetConfig)
 class ResNet(Encoder):
     """Stages 1 to 4 are torchvision's `layer1` to `layer4`."""
 
     n_stages = len(_WIDTHS)
 
-    def __init__(self, config: EncoderConfig) -> None:
+    def __init__(self, config: ResNetConfig) -> None:
         """Build the network and load its weights.
 
         Raises:
-            SdfgcnError: `depth` or `stages` is out of range; `path` is missing, cannot be read, or
-                holds something else than a torchvision state dict of that depth.
+            SdfgcnError: `stages` is out of range; `path` is missing, cannot be read, or holds
+                something else than a torchvision state dict of that depth.
         """
         super().__init__(config.stages)
-        if config.depth not in DEPTHS:
-            raise SdfgcnError(
-                f"env.perception.encoder.depth is {config.depth}, but must be one of "
-                f"{', '.join(map(str, DEPTHS))}."
-            )
         with torch.device("meta"):  # nothing drawn from torch's generator
             self._network = TorchvisionResNet(config.depth)
         _load(self._network, config)
@@ -134,7 +159,7 @@ class ResNet(Encoder):
         return self._network.get_submodule(f"layer{number}")(maps)
 
 
-def _load(network: nn.Module, config: EncoderConfig) -> None:
+def _load(network: nn.Module, config: ResNetConfig) -> None:
     if config.path is None:
         raise SdfgcnError(
             f"encoder={config.name} has no weights: set env.perception.encoder.path to a "
@@ -159,19 +184,9 @@ def _load(network: nn.Module, config: EncoderConfig) -> None:
 def _read(path: Path) -> dict[str, Tensor]:
     try:
         if path.suffix == ".safetensors":
-            from safetensors.torch import load_file  # optional: torch reads .pth by itself
-
             return load_file(path)
         return torch.load(path, map_location="cpu", weights_only=True)
-    except ImportError as error:
-        raise SdfgcnError(
-            f"'{path}' needs the package safetensors: pip install safetensors, or give a .pth file."
-        ) from error
-    except (OSError, EOFError, RuntimeError, ValueError, pickle.UnpicklingError) as error:
-        raise SdfgcnError(f"'{path}' cannot be read as weights ({_short(error)}).") from error
-    except Exception as error:  # safetensors' own error is a bare Exception
-        if type(error).__name__ != "SafetensorError":
-            raise
+    except _UNREADABLE as error:
         raise SdfgcnError(f"'{path}' cannot be read as weights ({_short(error)}).") from error
 
 

@@ -12,9 +12,4 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from sdfgcn.config import SegmentationConfig
-from sdfgcn.perception.segmenters.ucn import UCNSegmenter
-
 Segmenter = Callable[[NDArray[np.uint8]], NDArray[np.bool_]]
-
-SEGMENTERS: dict[str, Callable[[SegmentationConfig], Segmenter]] = {"ucn": UCNSegmenter}

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from sdfgcn.config import SegmentationConfig
+from sdfgcn.perception.segmenters.config import UCNConfig
 
 _NEIGHBOURS = np.ones((3, 3), dtype=bool)  # diagonal pixels touch: thin objects stay whole
 
 
-def cluster(points: NDArray[np.float32], config: SegmentationConfig) -> NDArray[np.int64]:
+def cluster(points: NDArray[np.float32], config: UCNConfig) -> NDArray[np.int64]:
     """Cluster unit vectors by mean shift with the cosine distance (1 - cos) / 2.
 
     Most pixels show the table and are embedded nearly alike; they take part as one point that
@@ -45,7 +45,7 @@ def cluster(points: NDArray[np.float32], config: SegmentationConfig) -> NDArray[
     return rank[labels]
 
 
-def masks_of(labels: NDArray[np.int64], config: SegmentationConfig) -> NDArray[np.bool_]:
+def masks_of(labels: NDArray[np.int64], config: UCNConfig) -> NDArray[np.bool_]:
     """Turn clusters into masks: one for each part of each cluster but the background.
 
     Two objects apart that the network embeds alike are two masks all the same, while the parts of
@@ -78,9 +78,7 @@ def _cosine(distance: float) -> float:
     return 1.0 - 2.0 * distance
 
 
-def _farthest_points(
-    points: NDArray[np.float32], config: SegmentationConfig
-) -> NDArray[np.float32]:
+def _farthest_points(points: NDArray[np.float32], config: UCNConfig) -> NDArray[np.float32]:
     """[S, D] seeds: the first point, then always the one farthest from those before it."""
     seeds = [points[0]]
     nearest = points @ seeds[0]  # cosine to the nearest seed
@@ -97,7 +95,7 @@ def _shifted(
     points: NDArray[np.float32],
     weights: NDArray[np.float32],
     modes: NDArray[np.float32],
-    config: SegmentationConfig,
+    config: UCNConfig,
 ) -> NDArray[np.float32]:
     """[S, D] where the seeds end: each step goes to the kernel-weighted mean direction."""
     for _ in range(config.iterations):

@@ -11,18 +11,21 @@ import torch
 from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
-from sdfgcn.config import SegmentationConfig
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import replaced
 from sdfgcn.perception.segmenters.clustering import cluster, masks_of
+from sdfgcn.perception.segmenters.config import UCNConfig
 from sdfgcn.perception.segmenters.network import UCN
+from sdfgcn.registry import SEGMENTERS
 
 SHIPPED = Path(__file__).parents[1] / "weights" / "ucn.safetensors"
 
 
+@SEGMENTERS.register("ucn", config=UCNConfig)
 class UCNSegmenter:
     """RGB picture -> object masks; see `conf/segmentation/ucn.yaml` for its settings."""
 
-    def __init__(self, config: SegmentationConfig, network: UCN | None = None) -> None:
+    def __init__(self, config: UCNConfig, network: UCN | None = None) -> None:
         """Load the weights, unless a network is handed over (one in training).
 
         Raises:
@@ -64,12 +67,12 @@ class UCNSegmenter:
             return self._network(picture)[0].permute(1, 2, 0).contiguous().numpy()
 
 
-def make_network(config: SegmentationConfig) -> UCN:
+def make_network(config: UCNConfig) -> UCN:
     """An untrained network of the configured size."""
     return UCN(config.channels, config.widths, config.embedding)
 
 
-def load_network(config: SegmentationConfig) -> UCN:
+def load_network(config: UCNConfig) -> UCN:
     """The trained network.
 
     Raises:
@@ -85,7 +88,7 @@ def load_network(config: SegmentationConfig) -> UCN:
         raise SdfgcnError(
             f"The segmentation weights {path} cannot be read ({str(error).splitlines()[0]}); set "
             "env.perception.segmentation.weights to a file that "
-            "`python -m sdfgcn.perception.train_ucn` wrote, or to null for the shipped ones."
+            "`python -m sdfgcn.segmentation.train` wrote, or to null for the shipped ones."
         ) from error
     if sizes != network_sizes(config):
         raise SdfgcnError(
@@ -98,22 +101,21 @@ def load_network(config: SegmentationConfig) -> UCN:
     except RuntimeError as error:
         raise SdfgcnError(
             f"The segmentation weights {path} lack layers or have others than this network; train "
-            "them anew with `python -m sdfgcn.perception.train_ucn`."
+            "them anew with `python -m sdfgcn.segmentation.train`."
         ) from error
     return network.eval()
 
 
-def save_network(network: UCN, config: SegmentationConfig, path: Path) -> None:
+def save_network(network: UCN, config: UCNConfig, path: Path) -> None:
     """Write weights in one step, with the sizes of their network."""
-    part = path.with_name(f".{path.name}.part")
     tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
     metadata = {"sizes": json.dumps(network_sizes(config))}
-    # Not save_file: it makes a file that only its owner may read.
-    part.write_bytes(safetensors.torch.save(tensors, metadata=metadata))
-    part.replace(path)
+    with replaced(path) as part:
+        # Not save_file: it makes a file that only its owner may read.
+        part.write_bytes(safetensors.torch.save(tensors, metadata=metadata))
 
 
-def network_sizes(config: SegmentationConfig) -> dict[str, object]:
+def network_sizes(config: UCNConfig) -> dict[str, object]:
     """What the shapes of the weights follow from."""
     return {
         "channels": config.channels,

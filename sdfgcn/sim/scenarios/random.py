@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from sdfgcn.registry import SCENARIOS
 from sdfgcn.sim.placement import Layout
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 
+@SCENARIOS.register("random")
 class Random(Scenario):
     """Every object somewhere, to be brought somewhere else."""
 

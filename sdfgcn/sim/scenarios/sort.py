@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from sdfgcn.geometry.region import Region
+from sdfgcn.registry import SCENARIOS
 from sdfgcn.sim.placement import Layout, sample_positions
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 
+@SCENARIOS.register("sort")
 class Sort(Scenario):
     """Each category gets a strip of the table of its own, left to right in random order."""
 

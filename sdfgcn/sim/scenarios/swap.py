@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from sdfgcn.registry import SCENARIOS
 from sdfgcn.sim.placement import Layout, NoRoom, is_free
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 
+@SCENARIOS.register("swap")
 class Swap(Scenario):
     """Two objects exchange places; the others stand in the way and stay where they are."""
 

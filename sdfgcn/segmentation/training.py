@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import pickle
@@ -17,16 +15,17 @@ import torch
 from filelock import FileLock, Timeout
 from tqdm import tqdm
 
-from sdfgcn.config import TrainUCNConfig
+from sdfgcn.config import SegmentationTrainingConfig
+from sdfgcn.config.diff import differences, flat
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.files import write_json, write_text
+from sdfgcn.files import CsvTable, replaced, write_json
 from sdfgcn.objects.catalogue import load_catalogue
-from sdfgcn.perception.augment import augmented
-from sdfgcn.perception.dataset import Pictures, load_pictures
-from sdfgcn.perception.segmentation_scores import SceneView, score, summary, views
-from sdfgcn.perception.segmenters.loss import clustering_loss
 from sdfgcn.perception.segmenters.network import UCN
 from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
+from sdfgcn.segmentation.augment import augmented
+from sdfgcn.segmentation.dataset import Pictures, load_pictures
+from sdfgcn.segmentation.loss import clustering_loss
+from sdfgcn.segmentation.scores import Example, score, summary, views
 
 # Torch's reader lets any of these through when a file is cut short or no checkpoint at all.
 _UNREADABLE = (
@@ -47,7 +46,7 @@ _FREE_KEYS = (
     "torch_threads",
     "checkpoint_steps",
     "validation_scenes",
-    "scenes.workers",
+    "arrangements.workers",
 )
 _SEGMENTATION = "env.perception.segmentation."  # of these only what the network or the loss reads
 _BINDING = tuple(_SEGMENTATION + key for key in ("channels", "widths", "embedding", "min_pixels"))
@@ -55,7 +54,7 @@ COLUMNS = ("step", "seconds", "learning_rate", "loss", "pull", "push")
 SCORES = ("overlap_f", "overlap_precision", "overlap_recall", "boundary_f", "count_right")
 
 
-def train(config: TrainUCNConfig, folder: Path) -> Path:
+def train(config: SegmentationTrainingConfig, folder: Path) -> Path:
     """Train the network, or go on with the training that the folder holds.
 
     Args:
@@ -91,7 +90,7 @@ class Training:
     state of a random generator needs to be kept.
     """
 
-    def __init__(self, config: TrainUCNConfig, folder: Path) -> None:
+    def __init__(self, config: SegmentationTrainingConfig, folder: Path) -> None:
         """Start at step 0 with weights from the seed."""
         self._config, self._folder = config, folder
         with torch.random.fork_rng(devices=[]):
@@ -103,10 +102,11 @@ class Training:
         self.step = 0
         self._seconds = 0.0
         self._rows: list[dict[str, float]] = []
+        self._metrics = CsvTable(folder / "metrics.csv", (*COLUMNS, *SCORES))
 
     # ------------------------------------------------------------------ the loop
 
-    def run(self, pictures: Pictures, scenes: list[SceneView]) -> None:
+    def run(self, pictures: Pictures, scenes: list[Example]) -> None:
         """Train to the last step, with a checkpoint and a validation every so often."""
         config, clock = self._config, time.monotonic()
         recent: list[tuple[float, float]] = []
@@ -154,7 +154,7 @@ class Training:
         done = (self.step - config.warmup) / max(1, config.steps - config.warmup)
         return config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * done))
 
-    def _row(self, recent: list[tuple[float, float]], scenes: list[SceneView]) -> dict[str, float]:
+    def _row(self, recent: list[tuple[float, float]], scenes: list[Example]) -> dict[str, float]:
         """What `metrics.csv` says about the updates since its last row."""
         segmenter = UCNSegmenter(self._config.env.perception.segmentation, self.network.eval())
         scores = summary([scores for _, _, scores in score(segmenter, scenes)])
@@ -178,22 +178,17 @@ class Training:
 
     def save(self) -> None:
         """Write checkpoint and metrics, each in one step; the checkpoint holds the metrics too."""
-        content = io.BytesIO()
-        torch.save(
-            {
-                "config": json.dumps(_flat(asdict(self._config))),
-                "network": self.network.state_dict(),
-                "optimiser": self._optimiser.state_dict(),
-                "step": self.step,
-                "seconds": self._seconds,
-                "rows": self._rows,
-            },
-            content,
-        )
-        part = self._checkpoint.with_name(".checkpoint.pt.part")
-        part.write_bytes(content.getvalue())
-        part.replace(self._checkpoint)
-        self._write_metrics()
+        content = {
+            "config": json.dumps(flat(asdict(self._config))),
+            "network": self.network.state_dict(),
+            "optimiser": self._optimiser.state_dict(),
+            "step": self.step,
+            "seconds": self._seconds,
+            "rows": self._rows,
+        }
+        with replaced(self._checkpoint) as part:
+            torch.save(content, part)
+        self._metrics.write(self._rows)
 
     def resume(self) -> None:
         """Go on from the folder's checkpoint, if it has one.
@@ -204,34 +199,23 @@ class Training:
         if not self._checkpoint.exists():
             return
         state = _read_checkpoint(self._checkpoint)
-        before, now = json.loads(state["config"]), _flat(asdict(self._config))
-        differing = [
-            key
-            for key in sorted({*before, *now})
-            if _binds(key) and before.get(key) != now.get(key)
-        ]
-        if differing:
-            key = differing[0]
+        before, now = (
+            {key: value for key, value in values.items() if _binds(key)}
+            for values in (json.loads(state["config"]), flat(asdict(self._config)))
+        )
+        if differing := differences(before, now):
             raise SdfgcnError(
-                f"{self._checkpoint} is of another training, which differs in {key} "
-                f"({before.get(key)} there, {now.get(key)} now); use the same values or another "
-                "out=..."
+                f"{self._checkpoint} is of another training, which differs in {differing}; use the "
+                "same values or another out=..."
             )
         self.network.load_state_dict(state["network"])
         self._optimiser.load_state_dict(state["optimiser"])
         self.step, self._seconds = state["step"], state["seconds"]
         self._rows = state["rows"]
-        self._write_metrics()
-
-    def _write_metrics(self) -> None:
-        text = io.StringIO()
-        writer = csv.DictWriter(text, [*COLUMNS, *SCORES])
-        writer.writeheader()
-        writer.writerows(self._rows)
-        write_text(self._folder / "metrics.csv", text.getvalue())
+        self._metrics.write(self._rows)
 
 
-def validation_views(config: TrainUCNConfig) -> list[SceneView]:
+def validation_views(config: SegmentationTrainingConfig) -> list[Example]:
     """The environment's own start layouts, with training objects of every catalogue."""
     each = max(1, config.validation_scenes // len(config.catalogues))
     return [
@@ -258,16 +242,6 @@ def _read_checkpoint(path: Path) -> dict[str, Any]:
             "start from the beginning, or use another out=..."
         ) from error
     return state
-
-
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A config as one dictionary of dotted keys."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        flat |= (
-            _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
-        )
-    return flat
 
 
 def _binds(key: str) -> bool:

@@ -1,6 +1,6 @@
 """A user's own directory of meshes: ShapeNetCore, ShapeNetSem, or any folder of OBJ, GLB, STL.
 
-Layouts, told from each file's path below `env.objects.root`:
+The layout is recognised by each file's path below `env.objects.root`:
 
 * `<synset>/<id>/models/model_normalized.obj` (ShapeNetCore): category = synset, by name if the
   root holds `taxonomy.json`.
@@ -31,17 +31,30 @@ from yaml import YAMLError
 
 from sdfgcn.config import SPLITS, ObjectsConfig
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.objects.model import Recipe, Shape
-from sdfgcn.objects.prepare import name_generator
+from sdfgcn.objects.model import Recipe, Shape, Source, name_generator
 from sdfgcn.objects.storage import cache_dir, new_folder
+from sdfgcn.registry import OBJECTS
 
 SUFFIXES = (".obj", ".glb", ".stl")
 TEST_SHARE = 1 / 3  # of the categories, where no split file says otherwise
 
 
+@dataclass
+class ShapenetConfig(ObjectsConfig):
+    """Settings of `conf/objects/shapenet.yaml`.
+
+    Attributes:
+        root: The directory of meshes.
+        split_file: YAML file with the lists train and test; None splits by category or name.
+    """
+
+    root: str | None = None
+    split_file: str | None = None
+
+
 @dataclass(frozen=True)
 class MeshFile:
-    """One mesh below the root: its path, and what it is called."""
+    """One mesh below the root: its path, name and category."""
 
     path: Path
     relative: str
@@ -49,7 +62,7 @@ class MeshFile:
     category: str
 
 
-def recipes(cfg: ObjectsConfig) -> list[Recipe]:
+def recipes(cfg: ShapenetConfig) -> list[Recipe]:
     """Return a recipe for every mesh that belongs to a split.
 
     Raises:
@@ -67,7 +80,7 @@ def recipes(cfg: ObjectsConfig) -> list[Recipe]:
     ]
 
 
-def fingerprint(cfg: ObjectsConfig) -> str:
+def fingerprint(cfg: ShapenetConfig) -> str:
     """Return text that changes with the root, its mesh files and the split file."""
     stats = [(file.relative, file.path.stat()) for file in find_meshes(_root(cfg))]
     lines = [str(_root(cfg).resolve())]
@@ -75,6 +88,9 @@ def fingerprint(cfg: ObjectsConfig) -> str:
     if cfg.split_file:
         lines.append(_split_text(cfg.split_file))
     return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+OBJECTS.register("shapenet", config=ShapenetConfig)(Source(recipes, fingerprint, lenient=True))
 
 
 def find_meshes(root: Path) -> list[MeshFile]:
@@ -101,10 +117,10 @@ def find_meshes(root: Path) -> list[MeshFile]:
 
 
 def divided(files: list[MeshFile]) -> list[str]:
-    """Split without a split file: a third of the categories is held out for the test.
+    """Split without a split file: a third of the categories is held out for testing.
 
-    Which third depends on the hashes of the category names alone. With a single category its
-    meshes are divided in the same way by their names.
+    Which third depends only on the hashes of the category names. If there is only one category,
+    its meshes are divided in the same way by their own names.
     """
     one_category = len({file.category for file in files}) == 1
     keys = [file.name if one_category else file.category for file in files]
@@ -113,7 +129,7 @@ def divided(files: list[MeshFile]) -> list[str]:
     return ["test" if key in held_out else "train" for key in keys]
 
 
-def _root(cfg: ObjectsConfig) -> Path:
+def _root(cfg: ShapenetConfig) -> Path:
     if cfg.root is None:
         raise SdfgcnError(
             "objects=shapenet needs a directory of meshes: give it as env.objects.root=PATH."
@@ -225,7 +241,7 @@ def _read(file: MeshFile, cfg: ObjectsConfig, trimesh: ModuleType, coacd: Module
         ConvexHull(vertices)  # raises for a flat mesh
         uv, texture = _texture(mesh, cfg.texture_size)
         pieces = _decomposed(vertices, faces, cfg.max_pieces, coacd)
-    except Exception as error:  # trimesh's readers raise whatever they stumble over
+    except Exception as error:  # trimesh's readers raise all sorts of errors
         reason = "it is flat" if isinstance(error, QhullError) else str(error).splitlines()[:1]
         reason = reason if isinstance(reason, str) else "".join(reason) or type(error).__name__
         raise SdfgcnError(f"The mesh {file.path} cannot be used ({reason}).") from error
@@ -235,7 +251,7 @@ def _read(file: MeshFile, cfg: ObjectsConfig, trimesh: ModuleType, coacd: Module
 
 
 def _texture(mesh: Any, size: int) -> tuple[NDArray | None, NDArray[np.uint8] | None]:
-    """The mesh's uv (v turned over, see `ObjectModel`) and texture, or two times None."""
+    """The mesh's uv (with v flipped, see `ObjectModel`) and texture, or None for both."""
     material = getattr(mesh.visual, "material", None)
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     uv = getattr(mesh.visual, "uv", None)
@@ -254,7 +270,7 @@ def _decomposed(
     if not folder.is_dir():
         parts = coacd.run_coacd(
             coacd.Mesh(vertices, faces),
-            threshold=0.08,  # concavity that may stay; lower gives more and smaller pieces
+            threshold=0.08,  # concavity allowed; a lower value gives more and smaller pieces
             max_convex_hull=max_pieces,
             preprocess_resolution=30,
             mcts_iterations=60,

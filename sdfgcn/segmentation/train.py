@@ -1,0 +1,55 @@
+"""Train the segmentation network: `python -m sdfgcn.segmentation.train KEY=VALUE ...`.
+
+`conf/train_segmentation.yaml` has the keys. The folder `out` holds the config, a checkpoint, `metrics.csv`
+and, in the end, `ucn.safetensors`; the same folder goes on with a training that was cut off.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import torch
+from hydra.errors import HydraException
+from omegaconf.errors import OmegaConfBaseException
+
+from sdfgcn.compose import compose_config
+from sdfgcn.config import SegmentationTrainingConfig
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.opengl import check_opengl
+from sdfgcn.segmentation.training import train
+from sdfgcn.validation import typed_segmentation_training
+
+
+def load_config(*overrides: str) -> SegmentationTrainingConfig:
+    """The config of a training, checked.
+
+    Args:
+        overrides: As on the command line.
+
+    Raises:
+        SdfgcnError: A value is out of its range.
+        HydraException: An override cannot be read, or names a key or an option that is not there.
+        OmegaConfBaseException: A value is missing or of the wrong type.
+    """
+    return typed_segmentation_training(compose_config(overrides, "train_segmentation"))
+
+
+def main(arguments: list[str]) -> int:
+    """Train as the command line says; return the exit code."""
+    try:
+        check_opengl()
+        config = load_config(*arguments)
+        torch.set_num_threads(config.torch_threads)
+        print(f"Wrote {train(config, Path(config.out))}.")
+    except (SdfgcnError, HydraException, OmegaConfBaseException) as error:
+        reasons = [str(link).splitlines()[0] for link in (error, error.__cause__) if link]
+        print(": ".join(reasons), file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        return 130
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
