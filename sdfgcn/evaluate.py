@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torch import Tensor
 
-    from sdfgcn.agents import Agent
+    from sdfgcn.agents.epsilon_greedy import EpsilonGreedy
     from sdfgcn.envs.records import EpisodeStart, StepRecord
 
 
@@ -164,7 +164,7 @@ def watch(
 
 def play_episode(
     env: Env,
-    agent: Agent,
+    agent: EpsilonGreedy,
     episode: int,
     seed: int,
     recorder: Recorder | None = None,

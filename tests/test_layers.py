@@ -32,7 +32,6 @@ LAYERS = (
     ("push_space", "scene"),
     ("sim",),
     ("perception",),
-    ("graph",),
     ("models",),
     ("envs",),
     ("agents",),

@@ -70,7 +70,7 @@ def test_inspect_a_policy(kernel: KernelManager, tmp_path: Path) -> None:
     config = real_config(*QUICK, "model=sdfgcn")
     size = config.env.arena.image_size
     network = build_q_network(config.model, 8, 2, size, 0)
-    save_policy(tmp_path, network, config.model, 2, size, {})
+    save_policy(tmp_path, network, {})
     told = execute(kernel, "policy", checkpoint=str(tmp_path), overrides=QUICK)
     assert "'name': 'sdfgcn'" in told
     assert "'pushes': 4, 'success': False" in told  # untrained: it goes on to the limit

@@ -113,12 +113,10 @@ def train_policy(
     """
     env = config.train.env
     load_catalogue(env.objects, env.split)  # before processes that push would each do it
-    rows = training_env(config, ObjectCountSampler(config.curriculum, config.n_objects)).max_objects
     about = {"seed": config.seed, "training": learning_config(config)}
-    kind = (config.model, env.push.directions, rows, env.arena.image_size)
 
     def keep(network: QNetwork, budget: dict[str, Any] | None) -> None:
-        save_policy(policy, network, *kind, {"budget": budget, **about})
+        save_policy(policy, network, {"budget": budget, **about})
 
     network = train(config, folder, logger, q_network, partial(keep, budget=None), evaluate)
     keep(network, asdict(config.budget))

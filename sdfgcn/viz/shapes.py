@@ -87,9 +87,7 @@ def row_slots(
     return slots
 
 
-def edge_strips(
-    moment: Snapshot, goal: Snapshot
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def edge_strips(moment: Snapshot, goal: Snapshot) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """The scene graph's edges at the current nodes, as lines in the picture.
 
     Returns:
