@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
 
+from sdfgcn.files import replaced
+
 Picture = NDArray[np.uint8]
 
 RED = (230, 60, 60)
@@ -88,6 +90,5 @@ def sheet(tiles: Sequence[Picture], columns: int, gap: int = 0) -> Picture:
 def save_png(name: str, picture: Picture) -> None:
     """Write `results/<name>.png` in one step."""
     RESULTS.mkdir(parents=True, exist_ok=True)
-    part = RESULTS / f".{name}.png.part"
-    Image.fromarray(picture).save(part, format="PNG", optimize=True)
-    part.replace(RESULTS / f"{name}.png")
+    with replaced(RESULTS / f"{name}.png") as part:
+        Image.fromarray(picture).save(part, optimize=True)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.files import write_text
+from sdfgcn.files import CsvTable
 
 
 @dataclass(frozen=True)
@@ -58,47 +56,36 @@ class EpisodeTable:
 
     def __init__(self, path: Path) -> None:
         self._path = path
+        self._table = CsvTable(path, COLUMNS)
 
     def read(self) -> list[Episode]:
         """Return the finished episodes, sorted by index; none if there is no file.
 
-        A last line without its end is left out: the process was killed while it wrote.
-
         Raises:
             SdfgcnError: The file is not such a table.
         """
-        if not self._path.exists():
-            return []
-        text = self._path.read_text(encoding="utf-8")
-        rows = csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1]))
         try:
-            episodes = {row["episode"]: _parse(row) for row in rows}
-        except (KeyError, TypeError, ValueError) as error:
+            episodes = {row["episode"]: _parse(row) for row in self._table.read()}
+        except (KeyError, ValueError) as error:
             raise SdfgcnError(
-                f"{self._path} is not a table of episodes (line with {error}); remove it or use "
+                f"{self._path} is not a table of episodes (it has {error}); remove it or use "
                 "another hydra.run.dir."
             ) from error
         return sorted(episodes.values(), key=lambda episode: episode.episode)
 
     def append(self, episode: Episode) -> None:
         """Add one row at the end."""
-        if not self._path.exists():
-            self.write([])
-        with self._path.open("a", encoding="utf-8", newline="") as file:
-            file.write(_format([episode]))
+        self._table.append(_row(episode))
 
     def write(self, episodes: Iterable[Episode]) -> None:
         """Replace the whole table."""
-        write_text(self._path, ",".join(COLUMNS) + "\n" + _format(episodes))
+        self._table.write(map(_row, episodes))
 
 
-def _format(episodes: Iterable[Episode]) -> str:
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerows(asdict(episode).values() for episode in episodes)
-    return text.getvalue()
+def _row(episode: Episode) -> dict[str, Any]:
+    return dict(zip(COLUMNS, asdict(episode).values(), strict=True))
 
 
 def _parse(row: dict[str, str]) -> Episode:
-    values = zip(fields(Episode), (row[column] for column in COLUMNS), strict=True)
+    values = zip(fields(Episode), row.values(), strict=True)
     return Episode(**{field.name: _READ[str(field.type)](value) for field, value in values})

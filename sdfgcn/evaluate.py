@@ -9,8 +9,6 @@ from __future__ import annotations
 import atexit
 import multiprocessing
 import os
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
@@ -28,6 +26,7 @@ from sdfgcn.config import N_DIRECTIONS, Config, EnvConfig
 from sdfgcn.episodes import Episode
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.loggers import Logger
+from sdfgcn.processes import follow_parent
 
 # What loads torch is imported where it is used: the main process of parallel workers needs none.
 if TYPE_CHECKING:
@@ -302,18 +301,9 @@ _player: _Player | None = None  # the worker process's own
 
 def _start_worker(evaluation: Evaluation, stop: Event) -> None:
     global _player
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the main process hears Ctrl-C and sets `stop`
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    follow_parent()  # on Ctrl-C it sets `stop`
     atexit.register(os._exit, 0)  # freeing torch and OpenGL at the end takes two seconds
     _player = _Player(evaluation, stopped=stop.is_set)
-
-
-def _end_with_parent() -> None:
-    """End this worker when the main process is killed; it would wait for work forever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
 
 
 def _play_in_worker(episode: int) -> Episode:

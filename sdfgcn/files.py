@@ -1,11 +1,41 @@
-"""Writing files so that a reader never sees half of one."""
+"""Writing files so that a reader never sees half of one, and CSV tables on top of that."""
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+
+from sdfgcn.errors import SdfgcnError
+
+
+@contextmanager
+def replaced(path: Path) -> Iterator[Path]:
+    """Give a temporary path that replaces `path` in one step when the block ends well.
+
+    The temporary file has the suffix of `path`, so that libraries which take the format from the
+    name pick the right one. It is removed if the block raises.
+
+    Args:
+        path: The file to write; its folder must exist.
+
+    Yields:
+        Where to write, in the same folder.
+    """
+    part = path.with_name(f".{path.stem}.part{path.suffix}")
+    part.unlink(missing_ok=True)  # left by a process that was killed
+    try:
+        yield part
+        with part.open("rb") as file:
+            os.fsync(file.fileno())
+        part.replace(path)
+    finally:
+        part.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -15,12 +45,8 @@ def write_text(path: Path, text: str) -> None:
         path: The file; it is replaced if it exists.
         text: Its content.
     """
-    part = path.with_name(f".{path.name}.part")
-    with part.open("w", encoding="utf-8") as file:
-        file.write(text)
-        file.flush()
-        os.fsync(file.fileno())
-    part.replace(path)
+    with replaced(path) as part:
+        part.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, content: Any) -> None:
@@ -30,3 +56,64 @@ def write_json(path: Path, content: Any) -> None:
         ValueError: A number is not finite; JSON has no such value.
     """
     write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
+
+
+class CsvTable:
+    """A CSV file with a fixed header. Every row that was added is in the file at once."""
+
+    def __init__(self, path: Path, columns: Sequence[str]) -> None:
+        """Name the file; nothing is read or written yet.
+
+        Args:
+            path: The file.
+            columns: Its header.
+        """
+        self._path = path
+        self._columns = tuple(columns)
+        self._whole = False  # whether the file is known to end with a whole line
+
+    def read(self) -> list[dict[str, str]]:
+        """Return the rows, by column; none if there is no file.
+
+        A last line without its end is left out: the process was killed while it wrote.
+
+        Raises:
+            SdfgcnError: The file has other columns, or a row has too few or too many cells.
+        """
+        if not self._path.exists():
+            return []
+        text = self._path.read_text(encoding="utf-8")
+        head, *rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1]))) or [()]
+        if head and tuple(head) != self._columns:
+            raise SdfgcnError(
+                f"{self._path} has the columns {','.join(head)}, but {','.join(self._columns)} are "
+                "needed; remove it or use another folder."
+            )
+        for line, row in enumerate(rows, start=2):
+            if len(row) != len(self._columns):
+                raise SdfgcnError(
+                    f"{self._path} has {len(row)} cells in line {line}, but {len(self._columns)} "
+                    "are needed; remove it or use another folder."
+                )
+        return [dict(zip(self._columns, row, strict=True)) for row in rows]
+
+    def append(self, *rows: Mapping[str, Any]) -> None:
+        """Add rows at the end; they are in the file when this returns."""
+        if not self._whole:
+            self.keep()
+        with self._path.open("a", encoding="utf-8", newline="") as file:
+            file.write(self._lines(rows))
+
+    def write(self, rows: Iterable[Mapping[str, Any]]) -> None:
+        """Replace the whole table in one step."""
+        write_text(self._path, ",".join(self._columns) + "\n" + self._lines(rows))
+        self._whole = True
+
+    def keep(self, wanted: Callable[[dict[str, str]], bool] = lambda row: True) -> None:
+        """Drop the rows that are not wanted, and half a line at the end."""
+        self.write([row for row in self.read() if wanted(row)])
+
+    def _lines(self, rows: Iterable[Mapping[str, Any]]) -> str:
+        text = io.StringIO()
+        csv.DictWriter(text, self._columns, lineterminator="\n").writerows(rows)
+        return text.getvalue()

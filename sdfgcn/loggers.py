@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Protocol
 
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import CsvTable
 from sdfgcn.registry import LOGGERS
 
 
@@ -35,16 +35,12 @@ class CsvLogger:
     """Appends to `metrics.csv` of the run folder: one line a figure, `step,name,value`."""
 
     def __init__(self, folder: Path) -> None:
-        self._path = folder / "metrics.csv"
+        self._table = CsvTable(folder / "metrics.csv", ("step", "name", "value"))
 
     def log(self, step: int, figures: Mapping[str, float]) -> None:
         """Append the figures; they are in the file when this returns."""
-        new = not self._path.exists()
-        with self._path.open("a", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            if new:
-                writer.writerow(("step", "name", "value"))
-            writer.writerows((step, name, value) for name, value in figures.items())
+        rows = ({"step": step, "name": name, "value": value} for name, value in figures.items())
+        self._table.append(*rows)
 
 
 @LOGGERS.register("tensorboard")

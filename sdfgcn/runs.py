@@ -21,6 +21,7 @@ from typing import Any
 from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 
+from sdfgcn.config.diff import differences, flat
 from sdfgcn.episodes import Episode, EpisodeTable
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import write_json, write_text
@@ -148,17 +149,11 @@ class RunFolder:
                 f"{self.path} holds {n_earlier} episodes but no config.yaml to say of which "
                 "experiment; use another hydra.run.dir."
             )
-        before = _flat(OmegaConf.load(kept))
-        now = _flat(OmegaConf.create(OmegaConf.to_yaml(self._cfg, resolve=True)))
-        differing = [key for key in sorted({*before, *now}) if before.get(key) != now.get(key)]
-        if differing:
-            told = ", ".join(
-                f"{key} ({before.get(key)} there, {now.get(key)} now)" for key in differing[:3]
-            )
-            more = f" and {len(differing) - 3} more" if len(differing) > 3 else ""
+        now = OmegaConf.create(OmegaConf.to_yaml(self._cfg, resolve=True))
+        if differing := differences(_binding(OmegaConf.load(kept)), _binding(now)):
             raise SdfgcnError(
                 f"{self.path} holds {n_earlier} episodes of another experiment, which differs in "
-                f"{told}{more}; use the same values or another hydra.run.dir."
+                f"{differing}; use the same values or another hydra.run.dir."
             )
         if n_earlier > self._cfg.eval.episodes:
             raise SdfgcnError(
@@ -171,16 +166,10 @@ class RunFolder:
         write_json(self.path / "status.json", self._status)
 
 
-def _flat(cfg: Any, prefix: str = "") -> dict[str, Any]:
-    """Flatten a config to dotted keys, without those that do not change an episode."""
-    flat: dict[str, Any] = {}
-    for key, value in cfg.items():
-        dotted = f"{prefix}{key}"
-        if OmegaConf.is_dict(value):
-            flat |= _flat(value, f"{dotted}.")
-        elif not dotted.startswith(_FREE_KEYS):
-            flat[dotted] = OmegaConf.to_container(value) if OmegaConf.is_list(value) else value
-    return flat
+def _binding(cfg: Any) -> dict[str, Any]:
+    """A config with dotted keys, without those that do not change an episode."""
+    values = flat(OmegaConf.to_container(cfg))
+    return {key: value for key, value in values.items() if not key.startswith(_FREE_KEYS)}
 
 
 def _earlier_seconds(status: Path) -> float:

@@ -20,7 +20,7 @@ from safetensors.torch import load_file, save
 from sdfgcn.agents.q_agent import QAgent
 from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.files import write_json
+from sdfgcn.files import replaced, write_json
 from sdfgcn.models import build_q_network
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.registry import MODELS
@@ -50,10 +50,9 @@ def save_policy(
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / ABOUT).unlink(missing_ok=True)
-    part = folder / f".{WEIGHTS}.part"
     weights = {name: value.contiguous() for name, value in network.state_dict().items()}
-    part.write_bytes(save(weights))  # save_file would let nobody else read it
-    part.replace(folder / WEIGHTS)
+    with replaced(folder / WEIGHTS) as part:
+        part.write_bytes(save(weights))  # save_file would let nobody else read it
     kind = {
         "model": asdict(model),
         "directions": network.n_directions,

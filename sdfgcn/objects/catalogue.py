@@ -1,4 +1,4 @@
-"""The one way to load a catalogue: from the cache, which is built on first use."""
+"""Loading a catalogue from the cache, which is built on first use."""
 
 from __future__ import annotations
 

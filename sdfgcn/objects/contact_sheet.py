@@ -1,4 +1,4 @@
-"""Every object of a catalogue in one picture.
+"""Draw every object of a catalogue in one picture.
 
 `python -m sdfgcn.objects.contact_sheet objects=scanned out=contact_sheet.png` takes the overrides
 of the command `sdfgcn`; `pieces=true` draws the convex collision pieces instead of the mesh.
@@ -20,6 +20,7 @@ from tqdm import tqdm
 from sdfgcn.compose import load_config
 from sdfgcn.config import SPLITS, ObjectsConfig
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import replaced
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.objects.model import ObjectModel
 
@@ -130,12 +131,10 @@ def main(arguments: list[str]) -> int:
     out = Path(own.get("out", "contact_sheet.png"))
     overrides = [a for a in arguments if not a.startswith(("out=", "pieces="))]
     try:
-        sheet = draw_sheet(
-            load_config(*overrides).env.objects, pieces=own.get("pieces", "false") == "true"
-        )
-        part = out.with_name(f".{out.name}.part")
-        sheet.save(part, format="PNG")
-        part.replace(out)
+        config = load_config(*overrides)
+        sheet = draw_sheet(config.env.objects, pieces=own.get("pieces", "false") == "true")
+        with replaced(out) as part:
+            sheet.save(part, format="PNG")
     except (SdfgcnError, HydraException, OmegaConfBaseException, OSError) as error:
         print(str(error).splitlines()[0], file=sys.stderr)
         return 1

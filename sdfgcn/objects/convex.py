@@ -35,8 +35,7 @@ def hull_vertices(points: NDArray, limit: int) -> NDArray:
     """Return a convex hull like that of `points`, but with at most `limit` vertices.
 
     Greedy: each step takes the vertex that stands out farthest from the hull so far. Leaving out
-    vertices shrinks a round shape, so what is left grows about its mean until the volume is the
-    old one again.
+    vertices shrinks a round shape, so the result is scaled about its mean to the old volume.
 
     Args:
         points: [P, 3].

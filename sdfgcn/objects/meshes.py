@@ -21,9 +21,9 @@ def decimate(
     """Reduce a mesh to at most `max_faces` by vertex clustering, finest grid that fits.
 
     Vertices merge when they share a grid cell and roughly a normal, so the two sides of a thin
-    wall stay apart. Each cluster's vertex lies where the planes of its faces meet best (quadric
-    error, Lindstrom 2000), so edges and corners stay sharp. At a texture seam the charts share
-    the position and keep their own uv, so no crack opens.
+    wall stay apart. Each cluster's vertex goes where the squared distance to the planes of its
+    faces is least (quadric error, Lindstrom 2000), so edges and corners stay sharp. At a texture
+    seam the charts share the position and keep their own uv, so no crack opens.
 
     Args:
         vertices: [V, 3].
@@ -66,7 +66,7 @@ def _cluster(
     pairs = np.column_stack([places, charts])
     corners = np.unique(pairs, axis=0, return_inverse=True)[1].ravel()
     kept = faces[_not_degenerate(places[faces])]
-    # The same face may come from several old ones: keep one of each, turned to a standard start.
+    # Several old faces may become the same one: keep one, and rotate its corners to compare them.
     spots = places[kept]
     order = (spots.argmin(axis=1)[:, None] + np.arange(3)) % 3
     turned = np.take_along_axis(spots, order, axis=1)
@@ -75,14 +75,14 @@ def _cluster(
 
 
 def _best_points(vertices: NDArray, quadrics: NDArray, places: NDArray) -> NDArray:
-    """The point of each cluster that lies nearest to all planes of its faces, [K, 3]."""
+    """The point of each cluster that is nearest to the planes of all its faces, [K, 3]."""
     means = _means(vertices, places)
     total = np.zeros((len(means), 3, 4))
     np.add.at(total, places, quadrics)
     matrix, vector = total[:, :, :3], total[:, :, 3]
     residual = vector - np.einsum("kij,kj->ki", matrix, means)
     step = np.einsum("kij,kj->ki", np.linalg.pinv(matrix, rcond=0.02, hermitian=True), residual)
-    # Where the planes all but agree the point may lie far away: keep it among its vertices.
+    # Where the planes are almost parallel the point may lie far away: keep it within the cluster.
     low, high = np.full_like(means, np.inf), np.full_like(means, -np.inf)
     np.minimum.at(low, places, vertices)
     np.maximum.at(high, places, vertices)

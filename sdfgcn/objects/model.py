@@ -1,4 +1,4 @@
-"""What a catalogue holds, object models and their resting poses, and what a source provides."""
+"""The types of this package: object models with their resting poses, and sources of objects."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class ObjectModel:
         vertices: Visual mesh, float32 [V, 3].
         faces: Visual mesh, int32 [F, 3], counter-clockwise from outside.
         uv: Texture coordinates, float32 [V, 2], or None. (0, 0) is the first pixel of the first
-            row, as MuJoCo reads it (an OBJ file has v upside down).
+            row, as MuJoCo reads it (in an OBJ file v runs the other way).
         texture: uint8 [T, T, 3], or None where the colour is drawn per episode.
         pieces: Convex collision pieces, each its hull vertices, float32 [P, 3].
         mass: Kilograms.
@@ -66,7 +66,7 @@ class ObjectModel:
 
     @functools.cached_property
     def hull(self) -> NDArray[np.float32]:
-        """[K, 3] the vertices of the visual mesh's convex hull; they alone make its outline."""
+        """Vertices of the visual mesh's convex hull, [K, 3]; only they can lie on its outline."""
         return self.vertices[ConvexHull(self.vertices).vertices]
 
 

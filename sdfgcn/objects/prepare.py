@@ -76,7 +76,7 @@ def _scaled(shape: Shape, scale: float) -> Shape:
 
 
 def _thickened(shape: Shape, direction: NDArray, factor: float) -> Shape:
-    """Stretch along one direction, because a paper-thin object slips under the gripper.
+    """Stretch along one direction: the gripper would slide over a paper-thin object.
 
     An affine map keeps convex pieces convex and the centroid at the origin.
     """
@@ -89,7 +89,7 @@ def _thickened(shape: Shape, direction: NDArray, factor: float) -> Shape:
 
 
 def _first_scale(shape: Shape, cfg: ObjectsConfig) -> float:
-    """Bring a shape near its final size; where it comes to rest does not depend on the scale."""
+    """The scale that brings a shape near its final size; its resting poses hardly depend on it."""
     size = diameter(np.concatenate(shape.pieces))
     return float(np.clip(size, cfg.footprint_min, cfg.footprint_max)) / size
 
@@ -101,7 +101,7 @@ def _poses(shape: Shape, cfg: ObjectsConfig, rng: np.random.Generator) -> list[P
         _measured(rotation, probability, solid, points)
         for rotation, probability in find_rests(shape.pieces, cfg, rng)
     ]
-    # An object on its narrow side falls over when it is pushed, and lands far from there.
+    # An object that stands on its narrow side falls over when pushed and lands somewhere else.
     low = 2.0 * min((pose.height for pose in poses), default=0.0)
     return [
         pose
@@ -126,9 +126,9 @@ def _measured(rotation: Rotation, probability: float, solid: NDArray, points: ND
 def _final_scale(
     poses: list[Pose], wanted: float | None, natural: float, cfg: ObjectsConfig
 ) -> float:
-    """Take the wanted footprint or the natural size if it fits, else the nearest that does.
+    """The scale for the wanted footprint, or for the natural size, as far as the limits allow.
 
-    Where the limits contradict each other the smallest footprint has the say.
+    Where the limits contradict each other, `footprint_min` wins.
     """
     footprint = poses[0].footprint
     smallest = cfg.footprint_min / footprint
@@ -139,7 +139,7 @@ def _final_scale(
 
 
 def _within_limits(poses: list[Pose], scale: float, cfg: ObjectsConfig) -> list[Pose]:
-    """Leave out poses that are too tall or too wide even so, but never the most probable one."""
+    """Leave out poses that are still too tall or too wide, but never the most probable one."""
     fits = [
         index == 0
         or (pose.top * scale <= cfg.height_max and pose.footprint * scale <= cfg.footprint_max)

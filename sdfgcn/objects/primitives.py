@@ -1,4 +1,4 @@
-"""Solids that household objects are put together from: a mesh and its convex pieces each."""
+"""The solids that household objects are made of, each a mesh with its convex pieces."""
 
 from __future__ import annotations
 
@@ -117,7 +117,8 @@ def turned_vessel(profile: Profile, wall: float, base: float) -> Part:
     outline = [(0.0, profile[0][1]), *profile, *reversed(inner), (0.0, floor)]
     edge = np.linspace(0, 2 * np.pi, SECTORS + 1)
     walls = []
-    # Only the bottom touches the table: ten sectors more would mean forty contacts more.
+    # The walls start 0.5 mm higher, so that only the base touches the table: the ten sectors of
+    # the lowest ring would add forty contacts.
     profile = [(profile[0][0], profile[0][1] + 0.0005), *profile[1:]]
     for (r0, z0), (r1, z1) in itertools.pairwise(profile):
         for a, b in itertools.pairwise(edge):
@@ -162,7 +163,7 @@ def arc_path(radius: float, start: float, end: float, stretches: int) -> NDArray
 
 
 def _plane_normal(path: NDArray) -> NDArray:
-    """A unit vector across a flat path; for a straight one any that stands on it."""
+    """The unit normal of a flat path's plane; for a straight path, any unit vector across it."""
     across = np.linalg.svd(path - path.mean(axis=0))[2][2]
     return across / np.linalg.norm(across)
 

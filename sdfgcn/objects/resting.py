@@ -15,10 +15,10 @@ from scipy.spatial.transform import Rotation
 from sdfgcn.config import ObjectsConfig
 from sdfgcn.objects.model import Rest
 
-SAME_FACE = np.deg2rad(15.0)  # two drops lie on the same face when their down directions are close
+SAME_FACE = np.deg2rad(15.0)  # down directions closer than this belong to the same face
 TIMESTEP = 0.002  # s
-SOLREF = (0.005, 1.0)  # a softer contact lets flat faces tremble on three points for ever
-STILL_SECONDS = 0.1  # an object counts as at rest after being slower than `settle_speed` this long
+SOLREF = (0.005, 1.0)  # with a softer contact, flat faces tremble on three points for ever
+STILL_SECONDS = 0.1  # at rest: slower than `settle_speed` for this long
 
 
 @dataclass(frozen=True)
@@ -44,8 +44,8 @@ def find_rests(
     """Drop a body from random orientations and group where it comes to rest.
 
     Drops that still move after `settle_seconds` are left out, and so are poses rarer than
-    `settle_min_probability`. A family of poses that look alike from the table (a cylinder on its
-    side at any roll angle) counts as one pose, so that it is not lost by being split up.
+    `settle_min_probability`. A family of poses that look alike (a cylinder on its side at any roll
+    angle) counts as one pose, because each of its members alone would be too rare to keep.
 
     Args:
         pieces: Convex pieces about their common centroid, each [P, 3], metres.
@@ -149,7 +149,7 @@ def _group(
 
 
 def _signature(rotation: Rotation, points: NDArray) -> NDArray:
-    """Lengths (m) that do not change with yaw nor, for a round body, with roll angle."""
+    """Lengths (m) that do not depend on yaw or, for a round body, on the roll angle; [4]."""
     turned = rotation.apply(points)
     spread = np.sqrt(np.linalg.eigvalsh(np.cov(turned[:, :2].T)).clip(0))
     return np.array([-turned[:, 2].min(), turned[:, 2].max(), *spread])

@@ -32,9 +32,9 @@ def cache_dir() -> Path:
 
 @contextmanager
 def new_folder(target: Path) -> Iterator[Path]:
-    """Give a scratch folder that becomes `target` in one step when the block ends well.
+    """Yield a scratch folder that becomes `target` in one step when the block ends well.
 
-    When another process finished the same folder first, its result stays and ours is dropped.
+    If another process finished the same folder first, its result stays and ours is dropped.
 
     Raises:
         SdfgcnError: The cache directory cannot be written.

@@ -22,6 +22,7 @@ from tqdm import tqdm
 
 from sdfgcn.config import TrainUCNConfig
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import replaced
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
 from sdfgcn.objects.storage import cache_dir
 from sdfgcn.perception.scenes import SceneWorld
@@ -136,10 +137,8 @@ def render_shard(config: TrainUCNConfig, folder: Path, shard: Shard) -> int:
             for picture, truth in world.pictures(rng):
                 pixels.append(picture)
                 labels.append(truth)
-    part = folder / f".{shard.file}.part"
-    with part.open("wb") as file:
-        np.savez(file, pixels=np.stack(pixels), labels=np.stack(labels))
-    part.replace(folder / shard.file)
+    with replaced(folder / shard.file) as part:
+        np.savez(part, pixels=np.stack(pixels), labels=np.stack(labels))
     return len(pixels)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 import pickle
@@ -18,8 +16,9 @@ from filelock import FileLock, Timeout
 from tqdm import tqdm
 
 from sdfgcn.config import TrainUCNConfig
+from sdfgcn.config.diff import differences, flat
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.files import write_json, write_text
+from sdfgcn.files import CsvTable, replaced, write_json
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.perception.augment import augmented
 from sdfgcn.perception.dataset import Pictures, load_pictures
@@ -103,6 +102,7 @@ class Training:
         self.step = 0
         self._seconds = 0.0
         self._rows: list[dict[str, float]] = []
+        self._metrics = CsvTable(folder / "metrics.csv", (*COLUMNS, *SCORES))
 
     # ------------------------------------------------------------------ the loop
 
@@ -178,22 +178,17 @@ class Training:
 
     def save(self) -> None:
         """Write checkpoint and metrics, each in one step; the checkpoint holds the metrics too."""
-        content = io.BytesIO()
-        torch.save(
-            {
-                "config": json.dumps(_flat(asdict(self._config))),
-                "network": self.network.state_dict(),
-                "optimiser": self._optimiser.state_dict(),
-                "step": self.step,
-                "seconds": self._seconds,
-                "rows": self._rows,
-            },
-            content,
-        )
-        part = self._checkpoint.with_name(".checkpoint.pt.part")
-        part.write_bytes(content.getvalue())
-        part.replace(self._checkpoint)
-        self._write_metrics()
+        content = {
+            "config": json.dumps(flat(asdict(self._config))),
+            "network": self.network.state_dict(),
+            "optimiser": self._optimiser.state_dict(),
+            "step": self.step,
+            "seconds": self._seconds,
+            "rows": self._rows,
+        }
+        with replaced(self._checkpoint) as part:
+            torch.save(content, part)
+        self._metrics.write(self._rows)
 
     def resume(self) -> None:
         """Go on from the folder's checkpoint, if it has one.
@@ -204,31 +199,20 @@ class Training:
         if not self._checkpoint.exists():
             return
         state = _read_checkpoint(self._checkpoint)
-        before, now = json.loads(state["config"]), _flat(asdict(self._config))
-        differing = [
-            key
-            for key in sorted({*before, *now})
-            if _binds(key) and before.get(key) != now.get(key)
-        ]
-        if differing:
-            key = differing[0]
+        before, now = (
+            {key: value for key, value in values.items() if _binds(key)}
+            for values in (json.loads(state["config"]), flat(asdict(self._config)))
+        )
+        if differing := differences(before, now):
             raise SdfgcnError(
-                f"{self._checkpoint} is of another training, which differs in {key} "
-                f"({before.get(key)} there, {now.get(key)} now); use the same values or another "
-                "out=..."
+                f"{self._checkpoint} is of another training, which differs in {differing}; use the "
+                "same values or another out=..."
             )
         self.network.load_state_dict(state["network"])
         self._optimiser.load_state_dict(state["optimiser"])
         self.step, self._seconds = state["step"], state["seconds"]
         self._rows = state["rows"]
-        self._write_metrics()
-
-    def _write_metrics(self) -> None:
-        text = io.StringIO()
-        writer = csv.DictWriter(text, [*COLUMNS, *SCORES])
-        writer.writeheader()
-        writer.writerows(self._rows)
-        write_text(self._folder / "metrics.csv", text.getvalue())
+        self._metrics.write(self._rows)
 
 
 def validation_views(config: TrainUCNConfig) -> list[SceneView]:
@@ -258,16 +242,6 @@ def _read_checkpoint(path: Path) -> dict[str, Any]:
             "start from the beginning, or use another out=..."
         ) from error
     return state
-
-
-def _flat(values: dict[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A config as one dictionary of dotted keys."""
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        flat |= (
-            _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
-        )
-    return flat
 
 
 def _binds(key: str) -> bool:

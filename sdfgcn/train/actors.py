@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-import os
-import signal
-import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import asdict, dataclass, replace
@@ -20,6 +16,7 @@ from torchrl.collectors import Collector, MultiAsyncCollector
 from sdfgcn.config import Config, EnvConfig
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.processes import follow_parent
 from sdfgcn.sim.episode import Episode
 from sdfgcn.train.curriculum import Counts
 
@@ -169,7 +166,7 @@ class AsyncActors:
             num_threads=torch.get_num_threads(),
             num_sub_threads=config.runtime.torch_threads,
             auto_register_policy_transforms=False,
-            init_fn=_start_worker,
+            init_fn=follow_parent,
         )
         self._batches = iter(self._collector)
         self._waiter = ThreadPoolExecutor(1)
@@ -226,16 +223,3 @@ def _env_in_worker(config: EnvConfig, counts: Counts, seed: int) -> TrainingEnv:
 def _seed(seed: int, worker: int, pushes: int) -> int:
     """An actor's seed, other than those of evaluation episodes."""
     return int(np.random.SeedSequence(seed, spawn_key=(1, worker, pushes)).generate_state(1)[0])
-
-
-def _start_worker() -> None:
-    """Make this process end with the learner's: it would wait for work forever."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the learner hears Ctrl-C and ends its actors
-
-    def watch() -> None:
-        parent = multiprocessing.parent_process()
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()

@@ -15,6 +15,7 @@ from typing import Any
 from torchrl.checkpoint import Checkpoint, CheckpointError, GlobalRNGState
 
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import replaced
 
 NAME = "checkpoint.zip"
 
@@ -28,11 +29,10 @@ def save_checkpoint(path: Path, parts: Mapping[str, Any], config: Mapping[str, A
         config: The config that it belongs to, as JSON knows it.
     """
     # TorchRL moves the old archive away first: killed just then, there would be none.
-    new = path.with_name(f"new-{path.name}")
-    for left in (*path.parent.glob(f".{new.name}.*"), new):  # of a process that was killed
-        _remove(left)
-    _registered(parts).save(new, metadata={"config": config})
-    new.replace(path)
+    with replaced(path) as part:
+        for left in path.parent.glob(f".{part.name}.*"):  # of a process that was killed
+            shutil.rmtree(left) if left.is_dir() else left.unlink()
+        _registered(parts).save(part, metadata={"config": config})
 
 
 def checkpoint_config(path: Path) -> dict[str, Any]:
@@ -79,7 +79,3 @@ def _unreadable(path: Path) -> SdfgcnError:
         f"{path} is damaged or no checkpoint of such a training; remove it to train anew, or use "
         "another hydra.run.dir."
     )
-
-
-def _remove(path: Path) -> None:
-    shutil.rmtree(path) if path.is_dir() else path.unlink(missing_ok=True)

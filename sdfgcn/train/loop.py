@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict
 from functools import partial
@@ -15,6 +15,7 @@ import torch
 
 from sdfgcn.agents.policy import save_policy
 from sdfgcn.config import Config
+from sdfgcn.config.diff import differences, flat
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.loggers import Logger
 from sdfgcn.models import build_q_network, q_networks
@@ -256,11 +257,9 @@ def training_slots(config: Config, counts: Counts) -> int:
 
 def learning_config(config: Config) -> dict[str, Any]:
     """What of a config changes what is learned, flat, as JSON knows it."""
-    flat: dict[str, Any] = {}
-    for part in _LEARNING:
-        value = getattr(config, part)
-        flat |= {part: value} if isinstance(value, int) else _flat(asdict(value), f"{part}.")
-    return {key: value for key, value in flat.items() if not key.startswith(_FREE)}
+    values = asdict(config)
+    learning = flat({part: values[part] for part in _LEARNING})
+    return {key: value for key, value in learning.items() if not key.startswith(_FREE)}
 
 
 def check_same_learning(path: Path, config: Config) -> None:
@@ -269,22 +268,9 @@ def check_same_learning(path: Path, config: Config) -> None:
     Raises:
         SdfgcnError: It does not; names the keys that differ.
     """
-    before, now = checkpoint_config(path), learning_config(config)
-    differing = [key for key in sorted({*before, *now}) if before.get(key) != now.get(key)]
+    differing = differences(checkpoint_config(path), learning_config(config))
     if differing:
-        told = ", ".join(
-            f"{key} ({before.get(key)} there, {now.get(key)} now)" for key in differing[:3]
-        )
         raise SdfgcnError(
-            f"{path} is of another training, which differs in {told}; use the same values or "
+            f"{path} is of another training, which differs in {differing}; use the same values or "
             "another hydra.run.dir."
         )
-
-
-def _flat(values: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    flat: dict[str, Any] = {}
-    for key, value in values.items():
-        flat |= (
-            _flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {prefix + key: value}
-        )
-    return flat

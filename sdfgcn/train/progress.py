@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import time
 from collections import deque
 from pathlib import Path
@@ -13,7 +11,7 @@ import numpy as np
 from tensordict import TensorDictBase
 from tqdm import tqdm
 
-from sdfgcn.files import write_text
+from sdfgcn.files import CsvTable
 from sdfgcn.loggers import Logger
 
 WINDOW = 100  # episodes over which success is measured
@@ -29,21 +27,15 @@ class TrainTable:
     """`train.csv`: one row every so many pushes."""
 
     def __init__(self, path: Path) -> None:
-        self._path = path
+        self._table = CsvTable(path, COLUMNS)
 
     def cut(self, pushes: int) -> None:
         """Drop the rows after so many pushes: those are done again."""
-        kept = []
-        if self._path.exists():
-            with self._path.open(encoding="utf-8", newline="") as file:
-                rows = [row for row in csv.reader(file) if len(row) == len(COLUMNS)][1:]
-            kept = [row for row in rows if int(row[0]) <= pushes]
-        write_text(self._path, _lines([COLUMNS, *kept]))
+        self._table.keep(lambda row: int(row["pushes"]) <= pushes)
 
     def append(self, figures: dict[str, float]) -> None:
         """Add a row; it is in the file when this returns."""
-        with self._path.open("a", encoding="utf-8", newline="") as file:
-            file.write(_lines([[_plain(figures[column]) for column in COLUMNS]]))
+        self._table.append({name: _plain(value) for name, value in figures.items()})
 
 
 class Progress:
@@ -185,9 +177,3 @@ def _mean(values: deque[float]) -> float:
 
 def _plain(value: float) -> str:
     return str(value) if isinstance(value, int) else f"{value:.6g}"
-
-
-def _lines(rows: Any) -> str:
-    text = io.StringIO()
-    csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue()

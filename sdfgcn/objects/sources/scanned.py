@@ -1,4 +1,4 @@
-"""Scanned objects: YCB (textured) and object_sim meshes out of the myosuite wheel."""
+"""Scanned objects from the myosuite wheel: YCB meshes, which have textures, and object_sim ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sdfgcn.objects.meshes import decimate, weld
 from sdfgcn.objects.model import Recipe, Shape, Source
 from sdfgcn.registry import OBJECTS
 
-# Category -> names, per split; a category never stands in both.
+# Category -> names, per split; no category is in both.
 TRAIN: dict[str, tuple[str, ...]] = {
     "box": ("003_cracker_box", "004_sugar_box", "008_pudding_box", "009_gelatin_box"),
     "squeeze_bottle": ("006_mustard_bottle",),
@@ -43,7 +43,7 @@ TEST: dict[str, tuple[str, ...]] = {
     "toy": ("airplane", "train", "duck", "elephant", "stanfordbunny", "piggybank"),
 }  # fmt: skip
 
-# These come with one hull around a concave mesh; so many convex pieces follow their outline.
+# Concave meshes that come with a single hull -> how many convex pieces to cut them into.
 SLICES = {"035_power_drill": 10, "train": 8, "alarmclock": 8}
 SLICED_FACES = 4000  # as fine as needed to follow the outline within 2 mm
 
@@ -95,7 +95,7 @@ def _read_object_sim(folder: Path) -> Shape:
 
 def _read_ycb(folder: Path, name: str, cfg: ObjectsConfig) -> Shape:
     vertices, uv, faces = read_msh(folder / "meshes" / f"{name}.msh")
-    # Boxes, cans and bottles are all but convex.
+    # Boxes, cans and bottles are almost convex.
     pieces = _sliced(vertices, faces, SLICES[name]) if name in SLICES else (vertices,)
     texture = shrink_texture((folder / "textures" / f"{name}.png").read_bytes(), cfg.texture_size)
     return Shape(vertices, faces, pieces, uv, texture)
@@ -143,8 +143,8 @@ def read_msh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDAr
 def shrink_texture(png: bytes, size: int) -> NDArray[np.uint8]:
     """Return a texture atlas as square RGB, uint8 [size, size, 3].
 
-    The black between the atlas's islands is filled with the nearest colour; it would else bleed
-    into the islands when they shrink and draw dark seams on the object.
+    The black between the atlas's islands is filled with the nearest colour. Otherwise it would
+    bleed into the islands as they shrink and leave dark seams on the object.
     """
     with Image.open(io.BytesIO(png)) as image:
         full = image.convert("RGB")

@@ -1,6 +1,6 @@
 """A user's own directory of meshes: ShapeNetCore, ShapeNetSem, or any folder of OBJ, GLB, STL.
 
-Layouts, told from each file's path below `env.objects.root`:
+The layout is recognised by each file's path below `env.objects.root`:
 
 * `<synset>/<id>/models/model_normalized.obj` (ShapeNetCore): category = synset, by name if the
   root holds `taxonomy.json`.
@@ -54,7 +54,7 @@ class ShapenetConfig(ObjectsConfig):
 
 @dataclass(frozen=True)
 class MeshFile:
-    """One mesh below the root: its path, and what it is called."""
+    """One mesh below the root: its path, name and category."""
 
     path: Path
     relative: str
@@ -117,10 +117,10 @@ def find_meshes(root: Path) -> list[MeshFile]:
 
 
 def divided(files: list[MeshFile]) -> list[str]:
-    """Split without a split file: a third of the categories is held out for the test.
+    """Split without a split file: a third of the categories is held out for testing.
 
-    Which third depends on the hashes of the category names alone. With a single category its
-    meshes are divided in the same way by their names.
+    Which third depends only on the hashes of the category names. If there is only one category,
+    its meshes are divided in the same way by their own names.
     """
     one_category = len({file.category for file in files}) == 1
     keys = [file.name if one_category else file.category for file in files]
@@ -241,7 +241,7 @@ def _read(file: MeshFile, cfg: ObjectsConfig, trimesh: ModuleType, coacd: Module
         ConvexHull(vertices)  # raises for a flat mesh
         uv, texture = _texture(mesh, cfg.texture_size)
         pieces = _decomposed(vertices, faces, cfg.max_pieces, coacd)
-    except Exception as error:  # trimesh's readers raise whatever they stumble over
+    except Exception as error:  # trimesh's readers raise all sorts of errors
         reason = "it is flat" if isinstance(error, QhullError) else str(error).splitlines()[:1]
         reason = reason if isinstance(reason, str) else "".join(reason) or type(error).__name__
         raise SdfgcnError(f"The mesh {file.path} cannot be used ({reason}).") from error
@@ -251,7 +251,7 @@ def _read(file: MeshFile, cfg: ObjectsConfig, trimesh: ModuleType, coacd: Module
 
 
 def _texture(mesh: Any, size: int) -> tuple[NDArray | None, NDArray[np.uint8] | None]:
-    """The mesh's uv (v turned over, see `ObjectModel`) and texture, or two times None."""
+    """The mesh's uv (with v flipped, see `ObjectModel`) and texture, or None for both."""
     material = getattr(mesh.visual, "material", None)
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     uv = getattr(mesh.visual, "uv", None)
@@ -270,7 +270,7 @@ def _decomposed(
     if not folder.is_dir():
         parts = coacd.run_coacd(
             coacd.Mesh(vertices, faces),
-            threshold=0.08,  # concavity that may stay; lower gives more and smaller pieces
+            threshold=0.08,  # concavity allowed; a lower value gives more and smaller pieces
             max_convex_hull=max_pieces,
             preprocess_resolution=30,
             mcts_iterations=60,

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from safetensors import SafetensorError, safe_open
 
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.files import replaced
 from sdfgcn.perception.segmenters.clustering import cluster, masks_of
 from sdfgcn.perception.segmenters.config import UCNConfig
 from sdfgcn.perception.segmenters.network import UCN
@@ -107,12 +108,11 @@ def load_network(config: UCNConfig) -> UCN:
 
 def save_network(network: UCN, config: UCNConfig, path: Path) -> None:
     """Write weights in one step, with the sizes of their network."""
-    part = path.with_name(f".{path.name}.part")
     tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
     metadata = {"sizes": json.dumps(network_sizes(config))}
-    # Not save_file: it makes a file that only its owner may read.
-    part.write_bytes(safetensors.torch.save(tensors, metadata=metadata))
-    part.replace(path)
+    with replaced(path) as part:
+        # Not save_file: it makes a file that only its owner may read.
+        part.write_bytes(safetensors.torch.save(tensors, metadata=metadata))
 
 
 def network_sizes(config: UCNConfig) -> dict[str, object]:
