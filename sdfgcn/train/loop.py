@@ -156,11 +156,12 @@ class Training:
 
     def run(self) -> None:
         """Train to the end of the budget."""
-        self._progress.open(self._config.budget.pushes, self._config.budget.minutes)
+        budget = self._config.budget
+        self._progress.open(self._learner.updates, budget.pushes, budget.minutes)
         while not self._finished():
             self._push()
             self._learn()
-            self._progress.tell(self._explorer.epsilon, self._counts.newest)
+            self._progress.tell(self._learner.updates, self._explorer.epsilon, self._counts.newest)
             if time.monotonic() - self._saved > 60.0 * self._config.train.checkpoint_minutes:
                 self._save()
         self._save()
