@@ -170,6 +170,8 @@ def _hint(asked: str) -> str:
         for start in range(len(parts)):
             meant.setdefault(".".join(parts[start:]), []).append(key)
     meant |= {group.name: [group.name] for group in conf_dir().glob("*/")}
+    if asked in meant:
+        return "it belongs to another option of its group."
     close = difflib.get_close_matches(asked, meant, n=1, cutoff=0.8)
     if not close:
         return "`--cfg job` prints all keys."
@@ -202,6 +204,7 @@ def _gist(error: BaseException) -> str:
     """The line that says what is wrong: the last before OmegaConf's details, else the first."""
     before, details, _ = str(error).strip().partition("full_key:")
     line = before.strip().splitlines()[-1 if details else 0]
+    line = re.sub(r"Invalid value assigned: \w+ is not a ListConfig.*", "must be a list", line)
     return line.strip().rstrip(".").replace(". ", "; ")
 
 

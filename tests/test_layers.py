@@ -132,8 +132,12 @@ def test_registry_and_conf_name_the_same_things(registry: Registry) -> None:
 
 
 @pytest.mark.parametrize(("group", "option"), OPTIONS)
-def test_every_option_composes_and_is_named_after_its_file(group: str, option: str) -> None:
-    config = real_config(f"{group}={option}")
+def test_every_option_composes_and_is_named_after_its_file(
+    group: str, option: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: True)  # for runtime=gpu
+    trained = ["model=sdfgcn"] if group == "curriculum" else []
+    config = real_config(f"{group}={option}", *trained)
     places = (config, config.env, config.env.perception)
     part = next(getattr(place, group) for place in places if hasattr(place, group))
     assert part.name == option

@@ -160,9 +160,8 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path) -> None:
         (["n_objectz=3"], "There is no key 'n_objectz'; did you mean n_objects?"),
         (["scenario.spacing=1"], "There is no key 'scenario.spacing'; did you mean env.scenario."),
         (["episodes=4"], "did you mean eval.episodes or viz.episodes?"),
-        (["env.qqq=3"], "There is no key 'env.qqq'; `run.py --cfg job` prints all keys."),
-        (["seed=abc"], "seed: Value 'abc' of type 'str' could not be converted to Integer."),
-        (["env.arena.spawn_x=3"], "env.arena.spawn_x: Invalid value assigned: int is not a"),
+        (["env.qqq=3"], "There is no key 'env.qqq'; `--cfg job` prints all keys."),
+        (["her=past"], "There is no her=past: her can be future, next, off."),
         (["seed=[1"], "Cannot read the override 'seed=[1': no viable alternative"),
         (["seed"], "Cannot read the override 'seed': missing EQUAL"),
     ],
@@ -174,34 +173,6 @@ def test_hydra_errors_in_one_sentence(overrides: list[str], told: str) -> None:
     assert sentence is not None
     assert sentence.startswith(told) or sentence.endswith(told)
     assert "\n" not in sentence
-
-
-@pytest.mark.parametrize(
-    ("override", "told"),
-    [
-        ("n_objects=0", "n_objects is 0, but must lie between 1 and env.max_objects (8)."),
-        ("n_objects=9", "n_objects is 9, but must lie between 1 and env.max_objects (8)."),
-        (
-            "env.robot.acceleration=0",
-            "env.robot.acceleration is 0.0, but must be above 0.",
-        ),
-        (
-            "env.push.control_timestep=0.006",
-            "env.push.control_timestep is 0.006, but must be a multiple of env.physics.timestep "
-            "(0.005).",
-        ),
-        ("eval.split=new", "eval.split is 'new', but must be one of train, test."),
-        ("env.split=train", "env.split is 'train' while eval.split is 'test'"),
-        ("eval.episodes=0", "eval.episodes is 0, but must be at least 1."),
-        ("runtime.workers=-1", "runtime.workers is -1, but must be at least 0."),
-        ("+more=1", "There is no key 'more'"),
-        ("seed=${gone}", "Interpolation key 'gone' not found."),
-    ],
-)
-def test_values_out_of_range_in_one_sentence(override: str, told: str) -> None:
-    with pytest.raises(Exception) as raised:
-        real_config(override)
-    assert told in (to_sentence(raised.value) or "")
 
 
 def test_an_error_of_ours_keeps_its_traceback() -> None:

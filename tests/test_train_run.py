@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import csv
 import json
 import os
@@ -14,19 +13,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 from configs import compose_config, real_config
-from hydra.errors import HydraException
-from omegaconf import OmegaConf
 from recordings import Recording
 
 from sdfgcn import load_policy
-from sdfgcn.cli import to_sentence
 from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.experiment import run_experiment
 from sdfgcn.loggers import TensorboardLogger, WandbLogger
 from sdfgcn.run_folder import RunFolder
-from sdfgcn.validation import typed
 
 ROOT = Path(__file__).parents[1]
 # Every episode succeeds, and each success brings in the next count.
@@ -101,39 +96,6 @@ def test_evaluates_a_checkpoint_without_training(folder: Path, tmp_path: Path) -
         results = run_experiment(real_config(*overrides), held)
     assert results["episodes"] == 1
     assert not (tmp_path / "train.csv").exists()
-
-
-# ------------------------------------------------------------------ config
-
-
-@pytest.mark.parametrize(
-    ("key", "value", "told"),
-    [
-        ("train.discount", 1.5, "train.discount is 1.5, but must lie between 0 and 1."),
-        ("budget.pushes", 0, "budget.pushes is 0, but must be at least 1."),
-        ("train.batch_size", 99999, "train.batch_size is 99999, but must not be above train.re"),
-        ("train.loss", "l7", "train.loss is 'l7', but must be one of smooth_l1, l2."),
-        ("runtime.precision", "int8", "runtime.precision is 'int8', but must be one of auto,"),
-        ("curriculum.counts", [2, 9], "curriculum.counts is [2, 9], but every"),
-    ],
-)
-def test_training_numbers_out_of_range(key: str, value: object, told: str) -> None:
-    config = copy.deepcopy(compose_config("model=sdfgcn"))  # to compose anew takes a second
-    OmegaConf.update(config, key, value)
-    with pytest.raises(SdfgcnError) as raised:
-        typed(config)
-    assert str(raised.value).startswith(told)
-
-
-def test_an_unknown_option() -> None:
-    with pytest.raises(HydraException) as raised:
-        real_config("her=past")
-    assert to_sentence(raised.value) == "There is no her=past: her can be future, next, off."
-
-
-def test_gpu_is_a_matter_of_config() -> None:
-    runtime = real_config("runtime=gpu").runtime
-    assert (runtime.device, runtime.precision) == ("cuda", "bfloat16")
 
 
 # ------------------------------------------------------------------ loggers

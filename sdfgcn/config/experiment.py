@@ -29,7 +29,6 @@ class EvalConfig:
     split: str = MISSING
     epsilon: float = MISSING
     loop_distance: float | None = None
-    seed: int = 0
 
 
 @dataclass

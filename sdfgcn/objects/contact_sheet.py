@@ -131,9 +131,8 @@ def main(arguments: list[str]) -> int:
     out = Path(own.get("out", "contact_sheet.png"))
     overrides = [a for a in arguments if not a.startswith(("out=", "pieces="))]
     try:
-        sheet = draw_sheet(
-            load_config(*overrides).env.objects, pieces=own.get("pieces", "false") == "true"
-        )
+        config = load_config(*overrides)
+        sheet = draw_sheet(config.env.objects, pieces=own.get("pieces", "false") == "true")
         with replaced(out) as part:
             sheet.save(part, format="PNG")
     except (SdfgcnError, HydraException, OmegaConfBaseException, OSError) as error:
