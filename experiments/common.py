@@ -43,12 +43,6 @@ def provenance() -> dict[str, Any]:
     return {"versions": versions(), "git": git_state(ROOT)}
 
 
-def percent(share: float, interval: Sequence[float] | None = None, digits: int = 0) -> str:
-    """A share as a table says it: `93%`, or `93% [90, 95]` with its interval."""
-    bounds = ", ".join(f"{100 * bound:.{digits}f}" for bound in interval or ())
-    return f"{100 * share:.{digits}f}%" + (f" [{bounds}]" if bounds else "")
-
-
 def save(name: str, result: dict[str, Any]) -> None:
     """Write `results/<name>.json` and print it."""
     RESULTS.mkdir(parents=True, exist_ok=True)

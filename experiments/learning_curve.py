@@ -21,6 +21,7 @@ from table import arguments_of, publish
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import write_text
+from sdfgcn.report import decimal, markdown_table, percent
 
 Row = dict[str, float]
 
@@ -62,16 +63,16 @@ def markdown(rows: list[Row]) -> str:
         *("minutes", "pushes", "updates", "epsilon", "success", "out of range"),
         *("pushes an episode", "loss"),
     )
-    lines = [f"| {' | '.join(heads)} |", f"|{' --- |' * len(heads)}"]
-    for row in rows:
-        cells = (
-            *(f"{row['seconds'] / 60:.0f}", f"{row['pushes']:.0f}", f"{row['updates']:.0f}"),
-            *(f"{row['epsilon']:.2f}", f"{row['success_rate']:.0%}"),
-            *(f"{row['out_of_range_rate']:.0%}", f"{row['episode_pushes']:.0f}"),
-            f"{row['loss']:.2f}",
+    cells = (
+        (
+            *(decimal(row["seconds"] / 60, digits=0), decimal(row["pushes"], digits=0)),
+            *(decimal(row["updates"], digits=0), decimal(row["epsilon"], digits=2)),
+            *(percent(row["success_rate"]), percent(row["out_of_range_rate"])),
+            *(decimal(row["episode_pushes"], digits=0), decimal(row["loss"], digits=2)),
         )
-        lines.append(f"| {' | '.join(cells)} |")
-    return "\n".join([*lines, "", NOTE]) + "\n"
+        for row in rows
+    )
+    return f"{markdown_table(heads, cells)}\n\n{NOTE}\n"
 
 
 def draw(rows: list[Row], file: Path) -> None:

@@ -10,11 +10,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from common import RESULTS, ROOT, percent
+from common import RESULTS, ROOT
 from table import filled
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import write_text
+from sdfgcn.report import percent
 
 Row = dict[str, Any]
 ALL = "2 to 6"  # n_objects of a row over every number of objects

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import RESULTS, load, percent, provenance, save
+from common import RESULTS, load, provenance, save
 from numpy.typing import NDArray
 from pictures import enlarged, painted, save_png, sheet
 from tqdm import tqdm
@@ -22,18 +22,19 @@ from tqdm import tqdm
 from sdfgcn.config import Config
 from sdfgcn.files import write_text
 from sdfgcn.objects.catalogue import load_catalogue
-from sdfgcn.perception.metrics import MaskScores, score_masks
-from sdfgcn.perception.segmentation_scores import SceneView, shifted_look, summary, views
 from sdfgcn.perception.segmenters.ucn import SHIPPED
 from sdfgcn.registry import SEGMENTERS
+from sdfgcn.report import percent
 from sdfgcn.results import wilson
+from sdfgcn.segmentation.metrics import MaskScores, score_masks
+from sdfgcn.segmentation.scores import Example, shifted_look, summary, views
 
 SCENES = 100  # of each number of objects
 N_OBJECTS = (2, 3, 4, 5, 6)
 LOOKS = {"own": None, "shifted": shifted_look}  # light and table colour
 CATALOGUES = ("scanned", "household")
 
-Row = tuple[SceneView, NDArray[np.bool_], MaskScores]
+Row = tuple[Example, NDArray[np.bool_], MaskScores]
 
 
 def run(overrides: list[str], scenes: int) -> None:

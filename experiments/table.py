@@ -16,7 +16,6 @@ import json
 import re
 import sys
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -24,20 +23,12 @@ from common import RESULTS
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import write_json, write_text
-from sdfgcn.paper import paper_figure
+from sdfgcn.report import SHARED, markdown, paper
 
 Row = dict[str, Any]
 
 SORTED_BY = ("model", "split", "objects", "scenario", "perception", "n_objects", "robot", "seed")
-# Columns only where the rows differ; else the line above the table says it once. The last three are
-# None for a model that is not trained.
-TITLE = ("model", "split", "scenario", "perception", "curriculum", "epsilon", "loop_distance")
 END = "<!-- /results -->"
-NOTE = (
-    "In brackets: 95% confidence intervals (Wilson's for the success rate, Student's t for means). "
-    "Pushes and error are means over successful episodes. The paper's figures are for ShapeNet "
-    "models, ours for the objects named."
-)
 
 
 def collect(folders: Iterable[Path]) -> list[Row]:
@@ -66,26 +57,7 @@ def collect(folders: Iterable[Path]) -> list[Row]:
 
 
 def _order(row: Row) -> tuple:
-    return (*(row[key] for key in SORTED_BY), *(str(row.get(key)) for key in TITLE))
-
-
-def markdown(rows: Sequence[Row]) -> str:
-    """Lay the rows out as a Markdown table, beside the paper's figures where it has them."""
-    named = [key for key in TITLE if len({row.get(key) for row in rows}) > 1]
-    said = [key for key in TITLE if key not in named and rows[0].get(key) is not None]
-    title = ", ".join(f"{key.replace('_', ' ')} {rows[0][key]}" for key in said)
-    heads = [
-        *(key.replace("_", " ") for key in (*named, "n_objects", "objects", "robot", "seed")),
-        *("episodes", "success rate", "paper", "pushes", "paper", "error (mm)", "paper"),
-        "out of range",
-    ]
-    lines = [
-        _line(heads),
-        _line(["---"] * len(heads)),
-        *(_line(_cells(row, named)) for row in rows),
-    ]
-    head = [f"{title[:1].upper()}{title[1:]}.", ""] if title else []
-    return "\n".join([*head, *lines, "", f"{NOTE} {_provenance(rows)}"]) + "\n"
+    return (*(row[key] for key in SORTED_BY), *(str(row.get(key)) for key in SHARED))
 
 
 def filled(text: str, name: str, content: str, file: Path) -> str:
@@ -111,72 +83,12 @@ def _read(file: Path) -> dict[str, Any]:
 
 
 def _row(results: dict[str, Any], status: dict[str, Any]) -> Row:
-    figure = None
-    if results["scenario"] == "random":  # the only one that the paper gives figures for
-        figure = paper_figure(
-            *(results[key] for key in ("model", "split", "n_objects")),
-            *(results.get(key) for key in ("curriculum", "trained_objects")),
-        )
     return {
         **results,
         "overrides": status.get("overrides"),
         "ended": status.get("ended"),
-        "paper": None if figure is None else asdict(figure),
+        "paper": paper(results),
     }
-
-
-def _cells(row: Row, named: Sequence[str]) -> list[str]:
-    paper = row["paper"] or {}
-    return [
-        *("-" if row.get(key) is None else str(row[key]) for key in named),
-        *(str(row[key]) for key in ("n_objects", "objects", "robot", "seed", "episodes")),
-        _percent(row["success_rate"], row["success_rate_ci95"]),
-        _percent(paper.get("success_rate")),
-        _mean(row["steps"], row["steps_ci95"]),
-        _mean(paper.get("steps")),
-        _mean(row["error_mm"], row["error_mm_ci95"]),
-        _mean(paper.get("error_mm")),
-        _percent(row["out_of_range_rate"]),
-    ]
-
-
-def _percent(value: float | None, interval: Sequence[float] | None = None) -> str:
-    return _cell(value, interval, scale=100, digits=0, unit="%")
-
-
-def _mean(value: float | None, interval: Sequence[float] | None = None) -> str:
-    return _cell(value, interval, scale=1, digits=1, unit="")
-
-
-def _cell(
-    value: float | None, interval: Sequence[float] | None, scale: int, digits: int, unit: str
-) -> str:
-    if value is None:
-        return "-"
-    bounds = ", ".join(f"{scale * bound:.{digits}f}" for bound in interval or ())
-    return f"{scale * value:.{digits}f}{unit}" + (f" [{bounds}]" if bounds else "")
-
-
-def _line(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def _provenance(rows: Sequence[Row]) -> str:
-    """The paper's tables and methods, the commits and MuJoCo versions that the rows come from."""
-    figures = [row["paper"] for row in rows if row["paper"]]
-    tables = sorted({figure["table"] for figure in figures})
-    methods = sorted({figure["method"] for figure in figures} - {row["model"] for row in rows})
-    commits = sorted({_commit(row["git"]) for row in rows})
-    mujoco = sorted({row["versions"].get("mujoco", "unknown") for row in rows})
-    which = f" ({', '.join(methods)})" if methods else ""
-    paper = f"Paper: {' and '.join(tables)}{which}. " if tables else ""
-    return f"{paper}Commit {' and '.join(commits)}; MuJoCo {' and '.join(mujoco)}."
-
-
-def _commit(git: dict[str, Any] | None) -> str:
-    if git is None:
-        return "unknown"
-    return git["commit"][:10] + (" with uncommitted changes" if git["dirty"] else "")
 
 
 def arguments_of(

@@ -31,8 +31,8 @@ from sdfgcn.compose import component_dirs, conf_dir, register_search_path
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.experiment import run_experiment
 from sdfgcn.opengl import check_opengl
-from sdfgcn.results import table
-from sdfgcn.runs import RunFolder
+from sdfgcn.report import text
+from sdfgcn.run_folder import RunFolder
 from sdfgcn.validation import typed
 
 _FULL_ERROR = "HYDRA_FULL_ERROR"
@@ -55,7 +55,7 @@ def run(cfg: DictConfig) -> float:
     with RunFolder(Path(job.runtime.output_dir), cfg, job.overrides.task) as folder:
         check_opengl()
         results = run_experiment(typed(cfg), folder)
-    print(f"{table(results)}\nRun folder: {folder.path}")
+    print(f"{text(results)}\nRun folder: {folder.path}")
     return results["success_rate"]
 
 

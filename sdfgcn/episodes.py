@@ -12,7 +12,7 @@ from sdfgcn.files import CsvTable
 
 
 @dataclass(frozen=True)
-class Episode:
+class EpisodeResult:
     """What came of one episode: one row of `episodes.csv`.
 
     Attributes:
@@ -42,7 +42,7 @@ class Episode:
     wall_s: float
 
 
-COLUMNS = tuple(field.name.rstrip("_") for field in fields(Episode))
+COLUMNS = tuple(field.name.rstrip("_") for field in fields(EpisodeResult))
 _READ: dict[str, Callable[[str], Any]] = {
     "int": int,
     "float": float,
@@ -58,7 +58,7 @@ class EpisodeTable:
         self._path = path
         self._table = CsvTable(path, COLUMNS)
 
-    def read(self) -> list[Episode]:
+    def read(self) -> list[EpisodeResult]:
         """Return the finished episodes, sorted by index; none if there is no file.
 
         Raises:
@@ -73,19 +73,19 @@ class EpisodeTable:
             ) from error
         return sorted(episodes.values(), key=lambda episode: episode.episode)
 
-    def append(self, episode: Episode) -> None:
+    def append(self, episode: EpisodeResult) -> None:
         """Add one row at the end."""
         self._table.append(_row(episode))
 
-    def write(self, episodes: Iterable[Episode]) -> None:
+    def write(self, episodes: Iterable[EpisodeResult]) -> None:
         """Replace the whole table."""
         self._table.write(map(_row, episodes))
 
 
-def _row(episode: Episode) -> dict[str, Any]:
+def _row(episode: EpisodeResult) -> dict[str, Any]:
     return dict(zip(COLUMNS, asdict(episode).values(), strict=True))
 
 
-def _parse(row: dict[str, str]) -> Episode:
-    values = zip(fields(Episode), row.values(), strict=True)
-    return Episode(**{field.name: _READ[str(field.type)](value) for field, value in values})
+def _parse(row: dict[str, str]) -> EpisodeResult:
+    values = zip(fields(EpisodeResult), row.values(), strict=True)
+    return EpisodeResult(**{field.name: _READ[str(field.type)](value) for field, value in values})

@@ -1,7 +1,7 @@
 """Playing evaluation episodes, in this process or in parallel ones.
 
-Every episode has its own seed, drawn from the evaluation's seed and the episode's index, and its
-own generator for the agent. So its result does not depend on which process plays it, or when.
+Every episode has its own seed, drawn from `eval.seed` and the episode's index, and its own
+generator for the agent. So its result does not depend on which process plays it, or when.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import numpy as np
 from tqdm import tqdm
 
-from sdfgcn.config import N_DIRECTIONS, Config, EnvConfig
-from sdfgcn.episodes import Episode
+from sdfgcn.config import Config, EnvConfig
+from sdfgcn.episodes import EpisodeResult
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.loggers import Logger
 from sdfgcn.processes import follow_parent
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torch import Tensor
 
-    from sdfgcn.agents import Agent
-    from sdfgcn.envs.types import EpisodeStart, StepRecord
+    from sdfgcn.agents.epsilon_greedy import EpsilonGreedy
+    from sdfgcn.envs.records import EpisodeStart, StepRecord
 
 
 class Env(Protocol):
@@ -110,7 +110,7 @@ def episode_seeds(seed: int, episode: int) -> tuple[int, np.random.Generator]:
     return int(for_env.generate_state(1)[0]), np.random.default_rng(for_agent)
 
 
-def evaluate(evaluation: Evaluation, finished: Iterable[int] = ()) -> Iterator[Episode]:
+def evaluate(evaluation: Evaluation, finished: Iterable[int] = ()) -> Iterator[EpisodeResult]:
     """Play the episodes of an evaluation that are not finished yet.
 
     Args:
@@ -132,8 +132,8 @@ def evaluate(evaluation: Evaluation, finished: Iterable[int] = ()) -> Iterator[E
 
 
 def watch(
-    episodes: Iterable[Episode], finished: Sequence[Episode], total: int, logger: Logger
-) -> Iterator[Episode]:
+    episodes: Iterable[EpisodeResult], finished: Sequence[EpisodeResult], total: int, logger: Logger
+) -> Iterator[EpisodeResult]:
     """Pass episodes on, with a progress bar and running figures.
 
     The bar shows the time left and the success rate so far. It is on stderr, and only on a
@@ -164,12 +164,12 @@ def watch(
 
 def play_episode(
     env: Env,
-    agent: Agent,
+    agent: EpsilonGreedy,
     episode: int,
     seed: int,
     recorder: Recorder | None = None,
     stopped: Callable[[], bool] = lambda: False,
-) -> Episode:
+) -> EpisodeResult:
     """Play one episode to its end.
 
     Args:
@@ -199,15 +199,16 @@ def play_episode(
         done = bool(td["done"])
         if recorder is not None:
             recorder.step(_with_values(env.last_step, values))
-    last, objects = env.last_step, env.episode_start.objects
-    return Episode(
+    last, start = env.last_step, env.episode_start
+    objects = () if start.truth is None else start.truth.objects
+    return EpisodeResult(
         episode=episode,
         seed=seed,
-        n_objects=len(objects),
+        n_objects=start.n_objects,
         objects=";".join(model.name for model in objects),
         success=bool(last.success),
         pushes=last.index,
-        error_mm=round(1000 * float(np.mean(last.distances)), 3),
+        error_mm=round(1000 * float(np.nanmean(last.distances)), 3),
         out_of_range=bool(last.out_of_range),
         truncated=bool(last.truncated),
         return_=round(total_reward, 6),
@@ -216,10 +217,10 @@ def play_episode(
 
 
 def _with_values(step: StepRecord, values: Tensor | None) -> StepRecord:
-    """The step with the agent's action values, [N * 8], if it has any."""
+    """The step with the agent's action values, [N * D], if it has any."""
     if values is None:
         return step
-    return replace(step, q_values=values.reshape(-1, N_DIRECTIONS).numpy())
+    return replace(step, q_values=values.numpy().reshape(step.legal.shape))
 
 
 class _Player:
@@ -230,7 +231,7 @@ class _Player:
         self._stopped = stopped
         self._env: Env | None = None
 
-    def play(self, episode: int) -> Episode:
+    def play(self, episode: int) -> EpisodeResult:
         config = self._evaluation.config
         if self._env is None:
             self._env = self._build_env()
@@ -261,7 +262,7 @@ class _Player:
             self._env.close()
 
 
-def _in_this_process(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[Episode]:
+def _in_this_process(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[EpisodeResult]:
     player = _Player(evaluation, stopped=lambda: False)
     try:
         for episode in episodes:
@@ -270,7 +271,7 @@ def _in_this_process(evaluation: Evaluation, episodes: Sequence[int]) -> Iterato
         player.close()
 
 
-def _in_workers(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[Episode]:
+def _in_workers(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[EpisodeResult]:
     if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
         # A process of joblib's launcher: its own start method is unknown to processes spawned here.
         multiprocessing.set_start_method("spawn", force=True)
@@ -285,7 +286,7 @@ def _in_workers(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[Epi
         pool.shutdown(cancel_futures=True)
 
 
-def _as_they_end(futures: Sequence[Future[Episode]]) -> Iterator[Episode]:
+def _as_they_end(futures: Sequence[Future[EpisodeResult]]) -> Iterator[EpisodeResult]:
     try:
         for future in as_completed(futures):
             yield future.result()
@@ -306,6 +307,6 @@ def _start_worker(evaluation: Evaluation, stop: Event) -> None:
     _player = _Player(evaluation, stopped=stop.is_set)
 
 
-def _play_in_worker(episode: int) -> Episode:
+def _play_in_worker(episode: int) -> EpisodeResult:
     assert _player is not None
     return _player.play(episode)

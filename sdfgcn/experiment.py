@@ -11,7 +11,7 @@ from sdfgcn.evaluate import Evaluation, evaluate, watch
 from sdfgcn.loggers import Logger
 from sdfgcn.registry import LOGGERS, RECORDERS
 from sdfgcn.results import summarise
-from sdfgcn.runs import RunFolder
+from sdfgcn.run_folder import RunFolder
 
 
 def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:

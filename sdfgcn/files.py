@@ -83,7 +83,7 @@ class CsvTable:
         if not self._path.exists():
             return []
         text = self._path.read_text(encoding="utf-8")
-        head, *rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1]))) or [()]
+        head, *rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1]))) or [[]]
         if head and tuple(head) != self._columns:
             raise SdfgcnError(
                 f"{self._path} has the columns {','.join(head)}, but {','.join(self._columns)} are "

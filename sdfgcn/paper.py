@@ -13,14 +13,14 @@ class PaperFigure:
         method: The model, or the paper's name for the way in which it was trained.
         table: Which table it stands in.
         success_rate: Share of successful episodes, 0 to 1.
-        steps: Mean pushes over the successful episodes; None where none succeeded.
+        pushes: Mean number over the successful episodes; None where none succeeded.
         error_mm: Mean position error over the successful episodes, millimetres; None likewise.
     """
 
     method: str
     table: str
     success_rate: float
-    steps: float | None
+    pushes: float | None
     error_mm: float | None
 
 

@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sdfgcn.config import Config, QNetworkConfig
-from sdfgcn.episodes import Episode
-from sdfgcn.paper import PaperFigure, paper_figure
+from sdfgcn.episodes import EpisodeResult
 
 # What a result depends on, besides Python.
 _PACKAGES = (
@@ -30,7 +29,7 @@ _PACKAGES = (
 _ROOT = Path(__file__).resolve().parents[1]
 
 
-def summarise(config: Config, episodes: Sequence[Episode], wall_s: float) -> dict[str, Any]:
+def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) -> dict[str, Any]:
     """Summarise an evaluation: the content of `results.json`.
 
     Pushes and error are means over the successful episodes alone, as in the paper. An interval is
@@ -45,7 +44,7 @@ def summarise(config: Config, episodes: Sequence[Episode], wall_s: float) -> dic
         The figures by name; None where there is none, as for the error if nothing succeeded.
     """
     successes = [episode for episode in episodes if episode.success]
-    steps = [float(episode.pushes) for episode in successes]
+    pushes = [float(episode.pushes) for episode in successes]
     errors = [episode.error_mm for episode in successes]
     return {
         **_network(config),
@@ -56,14 +55,15 @@ def summarise(config: Config, episodes: Sequence[Episode], wall_s: float) -> dic
         "scenario": config.env.scenario.name,
         "perception": config.env.perception.name,
         "checkpoint": config.checkpoint,
-        "epsilon": config.eval.epsilon if config.checkpoint else None,
-        "loop_distance": config.eval.loop_distance if config.checkpoint else None,
+        "epsilon": config.eval.epsilon,
+        "loop_distance": config.eval.loop_distance,
         "seed": config.seed,
+        "eval_seed": config.eval.seed,
         "episodes": len(episodes),
         "success_rate": len(successes) / len(episodes),
         "success_rate_ci95": wilson(len(successes), len(episodes)),
-        "steps": mean(steps),
-        "steps_ci95": t_interval(steps),
+        "pushes": mean(pushes),
+        "pushes_ci95": t_interval(pushes),
         "error_mm": mean(errors),
         "error_mm_ci95": t_interval(errors),
         "out_of_range_rate": mean([float(episode.out_of_range) for episode in episodes]),
@@ -93,10 +93,10 @@ def _network(config: Config) -> dict[str, Any]:
 
 def wilson(successes: int, trials: int) -> tuple[float, float]:
     """Return the Wilson 95% confidence interval of a success rate."""
-    from statsmodels.stats.proportion import proportion_confint  # loads pandas: seconds
+    from scipy import stats  # takes a second to load
 
-    low, high = proportion_confint(successes, trials, alpha=0.05, method="wilson")
-    return float(low), float(high)
+    interval = stats.binomtest(successes, trials).proportion_ci(0.95, method="wilson")
+    return float(interval.low), float(interval.high)
 
 
 def mean(values: Sequence[float]) -> float | None:
@@ -108,10 +108,11 @@ def t_interval(values: Sequence[float]) -> tuple[float, float] | None:
     """Return Student's t 95% confidence interval of a mean, or None of fewer than two values."""
     if len(values) < 2:
         return None
-    from statsmodels.stats.weightstats import DescrStatsW
+    from scipy import stats
 
-    low, high = DescrStatsW(values).tconfint_mean(alpha=0.05)
-    return float(low), float(high)
+    middle = sum(values) / len(values)
+    half = float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
+    return middle - half, middle + half
 
 
 def versions() -> dict[str, str]:
@@ -146,65 +147,3 @@ def _git(root: Path, *arguments: str) -> str | None:
     except (OSError, subprocess.CalledProcessError):
         return None
     return done.stdout.strip()
-
-
-def table(results: dict[str, Any]) -> str:
-    """Lay out the row of an evaluation above the paper's, aligned.
-
-    Args:
-        results: What `summarise` returned.
-    """
-    rows = [
-        ("", "episodes", "success rate", "pushes", "error (mm)", "out of range"),
-        (
-            f"{results['model']} (this run)",
-            str(results["episodes"]),
-            _cell(results["success_rate"], results["success_rate_ci95"], percent=True),
-            _cell(results["steps"], results["steps_ci95"]),
-            _cell(results["error_mm"], results["error_mm_ci95"]),
-            _cell(results["out_of_range_rate"], percent=True),
-        ),
-    ]
-    paper = _paper(results)
-    if paper is not None:
-        rows.append(
-            (
-                f"{paper.method} (paper, {paper.table})",
-                "200" if paper.table == "table I" else "-",
-                _cell(paper.success_rate, percent=True),
-                _cell(paper.steps),
-                _cell(paper.error_mm),
-                "-",
-            )
-        )
-    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
-    title = (
-        f"{results['n_objects']} {results['objects']} objects ({results['split']}), robot "
-        f"{results['robot']}, scenario {results['scenario']}, perception {results['perception']}, "
-        f"seed {results['seed']}"
-    )
-    note = "Pushes and error: means over successes. In brackets: 95% confidence intervals."
-    lines = ["  ".join(map(str.ljust, row, widths)).rstrip() for row in rows]
-    return "\n".join([title, *lines, note])
-
-
-def _paper(results: dict[str, Any]) -> PaperFigure | None:
-    if results["scenario"] != "random":
-        return None
-    return paper_figure(
-        *(results[key] for key in ("model", "split", "n_objects")),
-        *(results.get(key) for key in ("curriculum", "trained_objects")),
-    )
-
-
-def _cell(
-    value: float | None, interval: tuple[float, float] | None = None, percent: bool = False
-) -> str:
-    if value is None:
-        return "-"
-    scale, unit, digits = (100, "%", 0) if percent else (1, "", 1)
-    text = f"{scale * value:.{digits}f}{unit}"
-    if interval is None:
-        return text
-    low, high = (f"{scale * bound:.{digits}f}" for bound in interval)
-    return f"{text} [{low}, {high}]"

@@ -12,7 +12,7 @@ from sdfgcn.config import (
     Config,
     QNetworkConfig,
     RuntimeConfig,
-    TrainUCNConfig,
+    SegmentationTrainingConfig,
     check_above_zero,
     check_at_least,
     check_choice,
@@ -23,7 +23,7 @@ from sdfgcn.registry import OBJECTS, REGISTRIES, Registry
 
 MOTIONS = ("length", "speed", "acceleration", "descent_speed", "lift_speed")  # of env.push
 
-T = TypeVar("T", Config, TrainUCNConfig)
+T = TypeVar("T", Config, SegmentationTrainingConfig)
 
 
 def typed(cfg: DictConfig) -> Config:
@@ -43,11 +43,11 @@ def typed(cfg: DictConfig) -> Config:
     return config
 
 
-def typed_train_ucn(cfg: DictConfig) -> TrainUCNConfig:
-    """The same for a training of the segmentation network (`conf/train_ucn.yaml`)."""
+def typed_segmentation_training(cfg: DictConfig) -> SegmentationTrainingConfig:
+    """The same for a training of the segmentation network (`conf/train_segmentation.yaml`)."""
     values: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
-    config = _structured(TrainUCNConfig, values)
-    validate_train_ucn(config)
+    config = _structured(SegmentationTrainingConfig, values)
+    validate_segmentation_training(config)
     return config
 
 
@@ -240,14 +240,14 @@ def _validate_training(config: Config) -> None:
             )
 
 
-def validate_train_ucn(config: TrainUCNConfig) -> None:
+def validate_segmentation_training(config: SegmentationTrainingConfig) -> None:
     """Check what the types cannot say about a training of the segmentation network.
 
     Raises:
         SdfgcnError: One sentence that names the key, the value seen and what would work.
     """
-    scenes = config.scenes
-    check_at_least(0, {"seed": config.seed, "scenes.workers": scenes.workers})
+    arrangements = config.arrangements
+    check_at_least(0, {"seed": config.seed, "arrangements.workers": arrangements.workers})
     check_at_least(
         1,
         {
@@ -256,14 +256,14 @@ def validate_train_ucn(config: TrainUCNConfig) -> None:
             "checkpoint_steps": config.checkpoint_steps,
             "validation_scenes": config.validation_scenes,
             "torch_threads": config.torch_threads,
-            "scenes.layouts": scenes.layouts,
-            "scenes.appearances": scenes.appearances,
+            "arrangements.layouts": arrangements.layouts,
+            "arrangements.appearances": arrangements.appearances,
         },
     )
-    fewest, most = scenes.n_objects
+    fewest, most = arrangements.n_objects
     if not 1 <= fewest <= most:
         raise SdfgcnError(
-            f"scenes.n_objects is {scenes.n_objects}, but must be two numbers from 1 on, the "
+            f"arrangements.n_objects is {arrangements.n_objects}, but must be two numbers from 1 on, the "
             "smaller first."
         )
     if not config.catalogues:

@@ -15,7 +15,7 @@ from point_world import Endless, Notes, PointWorld
 
 from sdfgcn.agents import build_agent
 from sdfgcn.config import Config
-from sdfgcn.episodes import Episode
+from sdfgcn.episodes import EpisodeResult
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluate import Evaluation, episode_seeds, evaluate, play_episode, watch
 from sdfgcn.registry import LOGGERS, RECORDERS
@@ -30,7 +30,7 @@ def point_world(tmp_path: Path, *overrides: str) -> Evaluation:
     return Evaluation(config(*overrides), tmp_path / "recordings", Notes, PointWorld)
 
 
-def without_time(episodes: list[Episode]) -> list[Episode]:
+def without_time(episodes: list[EpisodeResult]) -> list[EpisodeResult]:
     rows = [dataclasses.replace(episode, wall_s=0.0) for episode in episodes]
     return sorted(rows, key=lambda row: row.episode)
 
@@ -43,7 +43,7 @@ class PlacedWorld(PointWorld):
         return self.observe()
 
 
-def play(world: PointWorld, **options) -> Episode:
+def play(world: PointWorld, **options) -> EpisodeResult:
     agent = build_agent(config(), np.random.default_rng(0))
     return play_episode(world, agent, episode=5, seed=11, **options)
 
@@ -82,6 +82,15 @@ def test_seeds_are_fixed_and_differ() -> None:
     assert max(seeds) < 2**32
     draws = {episode_seeds(seed, 0)[1].random() for seed in range(5)}
     assert len(draws) == 5
+
+
+def test_scenes_follow_from_the_seed_of_the_evaluation(tmp_path: Path) -> None:
+    plain, trained_anew, other = (
+        list(evaluate(point_world(tmp_path, *overrides)))
+        for overrides in ((), ("seed=1",), ("eval.seed=1",))
+    )
+    assert without_time(trained_anew) == without_time(plain)
+    assert {episode.seed for episode in other}.isdisjoint(episode.seed for episode in plain)
 
 
 def test_first_episodes_are_recorded(tmp_path: Path) -> None:

@@ -24,14 +24,14 @@ LAYERS = (
     ("validation",),
     ("compose",),
     ("geometry", "paper"),
+    ("report",),
     ("episodes", "loggers"),
-    ("runs",),
+    ("run_folder",),
     ("objects",),
     ("world",),
     ("push_space", "scene"),
     ("sim",),
     ("perception",),
-    ("graph",),
     ("models",),
     ("envs",),
     ("agents",),
@@ -47,7 +47,7 @@ RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 OPTIONAL = {"rerun": "viz", "trimesh": "sources", "coacd": "sources"}
 
 # Loaded only by what needs them; torch takes seconds, and MuJoCo fails to load without OpenGL.
-LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "mujoco", "dm_control", "statsmodels")
+LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "mujoco", "dm_control", "scipy")
 
 OPTIONS = sorted((path.parent.name, path.stem) for path in CONF.glob("*/*.yaml"))
 YAMLS = sorted(CONF.rglob("*.yaml"))

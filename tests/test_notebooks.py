@@ -15,9 +15,9 @@ from jupyter_client import KernelManager
 from nbclient import NotebookClient
 
 from sdfgcn.agents.policy import save_policy
-from sdfgcn.episodes import Episode
+from sdfgcn.episodes import EpisodeResult
 from sdfgcn.models import build_q_network
-from sdfgcn.runs import RunFolder
+from sdfgcn.run_folder import RunFolder
 from sdfgcn.train.progress import COLUMNS
 
 ROOT = Path(__file__).parents[1]
@@ -70,7 +70,7 @@ def test_inspect_a_policy(kernel: KernelManager, tmp_path: Path) -> None:
     config = real_config(*QUICK, "model=sdfgcn")
     size = config.env.arena.image_size
     network = build_q_network(config.model, 8, 2, size, 0)
-    save_policy(tmp_path, network, config.model, 2, size, {})
+    save_policy(tmp_path, network, {})
     told = execute(kernel, "policy", checkpoint=str(tmp_path), overrides=QUICK)
     assert "'name': 'sdfgcn'" in told
     assert "'pushes': 4, 'success': False" in told  # untrained: it goes on to the limit
@@ -79,7 +79,8 @@ def test_inspect_a_policy(kernel: KernelManager, tmp_path: Path) -> None:
 
 def test_read_results(kernel: KernelManager, tmp_path: Path) -> None:
     episodes = [
-        Episode(i, i, 2, "mug;plate", i > 0, 7 + i, 20.0, i == 0, False, 5.0, 1.0) for i in range(3)
+        EpisodeResult(i, i, 2, "mug;plate", i > 0, 7 + i, 20.0, i == 0, False, 5.0, 1.0)
+        for i in range(3)
     ]
     with RunFolder(tmp_path / "run", compose_config(*QUICK), ["n_objects=2"]) as folder:
         folder.keep(episodes)

@@ -7,16 +7,19 @@ import pytest
 from configs import CONF, compose_config, real_config
 from omegaconf import OmegaConf
 
-from sdfgcn.episodes import COLUMNS, Episode, EpisodeTable
+from sdfgcn.episodes import COLUMNS, EpisodeResult, EpisodeTable
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import write_json
 from sdfgcn.paper import paper_figure
-from sdfgcn.results import git_state, mean, summarise, t_interval, table, wilson
-from sdfgcn.runs import RunFolder
+from sdfgcn.report import text
+from sdfgcn.results import git_state, mean, summarise, t_interval, wilson
+from sdfgcn.run_folder import RunFolder
 
 
-def episode(index: int, success: bool = True, pushes: int = 10, error_mm: float = 20.0) -> Episode:
-    return Episode(
+def episode(
+    index: int, success: bool = True, pushes: int = 10, error_mm: float = 20.0
+) -> EpisodeResult:
+    return EpisodeResult(
         episode=index,
         seed=1000 + index,
         n_objects=2,
@@ -44,6 +47,7 @@ def test_wilson_by_hand() -> None:
 def test_t_interval_by_hand() -> None:
     # mean 20, standard deviation 10, t(0.975, 2) = 4.30265: 4.30265 * 10 / sqrt(3) = 24.8414
     assert t_interval([10.0, 20.0, 30.0]) == pytest.approx((-4.8414, 44.8414), abs=1e-4)
+    assert t_interval([3.0, 3.0]) == (3.0, 3.0)
     assert t_interval([10.0]) is None
     assert t_interval([]) is None
     assert mean([]) is None
@@ -52,6 +56,7 @@ def test_t_interval_by_hand() -> None:
 def test_pushes_and_error_are_means_over_successes() -> None:
     config = real_config(
         *("model=rule_based", "n_objects=2", "objects=household", "robot=gripper", "seed=7"),
+        *("eval=greedy", "eval.seed=8"),
     )
     episodes = [
         episode(0, pushes=10, error_mm=20.0),
@@ -68,10 +73,13 @@ def test_pushes_and_error_are_means_over_successes() -> None:
         "robot": "gripper",
         "scenario": "random",
         "perception": "oracle",
+        "epsilon": 0.0,
+        "loop_distance": 0.02,
         "seed": 7,
+        "eval_seed": 8,
         "episodes": 4,
         "success_rate": 0.5,
-        "steps": 15.0,
+        "pushes": 15.0,
         "error_mm": 30.0,
         "out_of_range_rate": 0.5,
         "truncated_rate": 0.0,
@@ -81,27 +89,27 @@ def test_pushes_and_error_are_means_over_successes() -> None:
     assert {key: results[key] for key in expected} == expected
     assert results["success_rate_ci95"] == wilson(2, 4)
     # 15 -+ t(0.975, 1) * 7.0711 / sqrt(2) = 15 -+ 12.7062 * 5
-    assert results["steps_ci95"] == pytest.approx((-48.531, 78.531), abs=1e-3)
+    assert results["pushes_ci95"] == pytest.approx((-48.531, 78.531), abs=1e-3)
     assert {"python", "mujoco", "torch"} <= set(results["versions"])
     json.dumps(results, allow_nan=False)
 
 
 def test_nothing_succeeded() -> None:
     results = summarise(real_config(), [episode(0, success=False)], wall_s=1.0)
-    empty = ("steps", "steps_ci95", "error_mm", "error_mm_ci95")
+    empty = ("pushes", "pushes_ci95", "error_mm", "error_mm_ci95")
     assert [results[key] for key in empty] == [None] * 4
     assert results["success_rate"] == 0.0
-    assert "0% [0, 79]" in table(results)
+    assert "0% [0, 79]" in text(results)
 
 
 def test_paper_figures() -> None:
     figure = paper_figure("rule_based", "test", 3)
     assert figure is not None
     assert (figure.table, figure.success_rate) == ("table II", 0.69)
-    assert (figure.steps, figure.error_mm) == (59.1, 28.8)
+    assert (figure.pushes, figure.error_mm) == (59.1, 28.8)
     seen = paper_figure("rule_based", "train", 3)
     assert seen is not None
-    assert (seen.table, seen.success_rate, seen.steps) == ("table I", 0.68, 57.7)
+    assert (seen.table, seen.success_rate, seen.pushes) == ("table I", 0.68, 57.7)
     assert paper_figure("rule_based", "train", 4) is None
     assert paper_figure("rule_based", "test", 7) is None
     assert paper_figure("another", "test", 3) is None
@@ -149,17 +157,20 @@ def test_a_trained_network_stands_beside_its_method(model: str, tmp_path: Path) 
     results = summarise(config, [episode(0)], wall_s=1.0)
     assert results["model"] == "sdfgcn"
     assert (results["curriculum"], results["trained_objects"]) == ("on", 3)
-    assert "\nSDFGCN-curriculum (paper, table II)  -         83%" in table(results)
+    assert "\nSDFGCN-curriculum (paper, table II)  -         83%" in text(results)
 
 
 def test_table_stands_beside_the_paper() -> None:
     rule_based = real_config("model=rule_based")
     results = summarise(rule_based, [episode(0), episode(1, error_mm=30.0)], wall_s=1.0)
-    title, head, ours, paper, _ = table(results).splitlines()
-    assert "3 scanned objects (test)" in title
+    title, head, ours, paper, _ = text(results).splitlines()
+    assert title == (
+        "3 scanned objects (test), model rule_based, robot ur5e, scenario random, "
+        "perception oracle, epsilon 0.1, no loop distance, seed 0, eval seed 0"
+    )
     assert head.index("success rate") == ours.index("100% [34, 100]") == paper.index("69%")
     assert head.index("error (mm)") == ours.index("25.0 [") == paper.index("28.8")
-    assert "paper" not in table(results | {"scenario": "swap"})
+    assert "paper" not in text(results | {"scenario": "swap"})
 
 
 # ------------------------------------------------------------------ provenance
@@ -222,7 +233,9 @@ def status(path: Path) -> dict:
     return json.loads((path / "status.json").read_text())
 
 
-def begin(path: Path, *episodes: Episode, overrides: tuple[str, ...] = ()) -> list[Episode]:
+def begin(
+    path: Path, *episodes: EpisodeResult, overrides: tuple[str, ...] = ()
+) -> list[EpisodeResult]:
     with RunFolder(path, compose_config(*overrides), overrides) as folder:
         return folder.keep(episodes)
 

@@ -19,7 +19,7 @@ from sdfgcn.cli import to_sentence
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.experiment import run_experiment
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
-from sdfgcn.runs import RunFolder
+from sdfgcn.run_folder import RunFolder
 
 ROOT = Path(__file__).parents[1]
 # What is tested here does not depend on the model; the rule's is the quickest to load.

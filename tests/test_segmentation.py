@@ -10,17 +10,17 @@ import torch
 from configs import real_config
 from dm_control import mjcf
 
-from sdfgcn.config import SegmentationConfig, TrainUCNConfig
+from sdfgcn.config import SegmentationConfig, SegmentationTrainingConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.perception import dataset, ucn_training
-from sdfgcn.perception.metrics import match_masks, score_masks
-from sdfgcn.perception.segmentation_scores import SceneView, shifted_look, summary, views
 from sdfgcn.perception.segmenters.clustering import cluster, masks_of
-from sdfgcn.perception.segmenters.loss import clustering_loss
 from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
-from sdfgcn.perception.train_ucn import load_config
 from sdfgcn.registry import SEGMENTERS
+from sdfgcn.segmentation.loss import clustering_loss
+from sdfgcn.segmentation.metrics import match_masks, score_masks
+from sdfgcn.segmentation.scores import Example, shifted_look, summary, views
+from sdfgcn.segmentation.train import load_config
 from sdfgcn.sim.arena import Table
 from sdfgcn.sim.renderer import Renderer
 
@@ -31,7 +31,7 @@ def config_of(name: str = "ucn") -> SegmentationConfig:
 
 
 @pytest.fixture(scope="module")
-def household() -> list[SceneView]:
+def household() -> list[Example]:
     env = real_config("objects=household", "robot=gripper").env
     return list(views(env, load_catalogue(env.objects, "test"), [1, 4], 4))
 
@@ -257,7 +257,7 @@ def test_a_picture_of_an_odd_size_is_refused(segmenter) -> None:
 # ---------------------------------------------------------------------- training
 
 
-def training_config(*overrides: str) -> TrainUCNConfig:
+def training_config(*overrides: str) -> SegmentationTrainingConfig:
     shrunk = (
         "~objects@catalogues.scanned",
         "scenes.layouts=2",

@@ -30,8 +30,8 @@ def finished_run(folder: Path, **changes: object) -> Path:
         "episodes": 4,
         "success_rate": 0.75,
         "success_rate_ci95": [0.301, 0.954],
-        "steps": 40.26,
-        "steps_ci95": [30.04, 50.47],
+        "pushes": 40.26,
+        "pushes_ci95": [30.04, 50.47],
         "error_mm": 28.0,
         "error_mm_ci95": [20.0, 36.0],
         "out_of_range_rate": 0.25,
@@ -81,7 +81,7 @@ def test_rows_come_sorted_from_a_sweep_and_from_single_runs(tmp_path: Path) -> N
 
 
 def test_nothing_succeeded_and_nothing_in_the_paper(tmp_path: Path) -> None:
-    none = {"steps": None, "steps_ci95": None, "error_mm": None, "error_mm_ci95": None}
+    none = {"pushes": None, "pushes_ci95": None, "error_mm": None, "error_mm_ci95": None}
     failed = {"success_rate": 0.0, "success_rate_ci95": [0.0, 0.49], "scenario": "swap", **none}
     text = table.markdown(table.collect([finished_run(tmp_path / "run", **failed, git=None)]))
     (row,) = body(text)
@@ -103,11 +103,13 @@ def test_what_differs_becomes_a_column(tmp_path: Path) -> None:
 
 def test_learned_models(tmp_path: Path) -> None:
     trained = {"model": "sdfgcn", "curriculum": "off", "trained_objects": 3, "loop_distance": None}
+    trained["eval_seed"] = 5
     folders = [finished_run(tmp_path / "0", **trained, epsilon=0.1)]
     folders += [finished_run(tmp_path / "1", **{**trained, "epsilon": 0.0, "loop_distance": 0.01})]
     text = table.markdown(table.collect(folders))
     assert text.startswith(
-        "Model sdfgcn, split test, scenario random, perception oracle, curriculum off.\n"
+        "Model sdfgcn, split test, scenario random, perception oracle, curriculum off, "
+        "eval seed 5.\n"
     )
     assert [(row[:2], row[8], row[10]) for row in body(text)] == [
         (["0.0", "0.01"], "80%", "34.6"),
@@ -134,7 +136,7 @@ def test_what_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     (row,) = json.loads((out / "mine.json").read_text())
     assert row["episode_seeds"] == [11, 12, 13, 14]
     assert row["git"]["commit"] == "0123456789abcdef"
-    assert (row["overrides"], row["paper"]["steps"]) == (["seed=7"], 59.1)
+    assert (row["overrides"], row["paper"]["pushes"]) == (["seed=7"], 59.1)
     text = (out / "mine.md").read_text()
     assert printed.out == text
     once = f"# Title\n<!-- results:mine -->\n{text}<!-- /results -->\nEnd\n"

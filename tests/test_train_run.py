@@ -21,7 +21,7 @@ from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.experiment import run_experiment
 from sdfgcn.loggers import TensorboardLogger, WandbLogger
-from sdfgcn.runs import RunFolder
+from sdfgcn.run_folder import RunFolder
 
 ROOT = Path(__file__).parents[1]
 # Every episode succeeds, and each success brings in the next count.

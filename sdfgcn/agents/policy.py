@@ -17,7 +17,7 @@ import numpy as np
 from omegaconf import OmegaConf
 from safetensors.torch import load_file, save
 
-from sdfgcn.agents.q_agent import QAgent
+from sdfgcn.agents.epsilon_greedy import EpsilonGreedy, QAgent
 from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import replaced, write_json
@@ -30,22 +30,12 @@ ABOUT = "policy.json"
 RELEASED = Path(__file__).resolve().parents[1] / "weights"
 
 
-def save_policy(
-    folder: Path,
-    network: QNetwork,
-    model: QNetworkConfig,
-    max_objects: int,
-    image_size: int,
-    about: Mapping[str, Any],
-) -> None:
+def save_policy(folder: Path, network: QNetwork, about: Mapping[str, Any]) -> None:
     """Write a policy; `policy.json` comes last, so that a folder that has it is whole.
 
     Args:
         folder: Where; made if needed.
-        network: Its weights are written.
-        model: What `network` was built from.
-        max_objects: Rows that it was built with.
-        image_size: Height and width of its pictures, pixels.
+        network: Its weights are written, and what it was built from.
         about: How it was trained, as JSON knows it.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -54,10 +44,10 @@ def save_policy(
     with replaced(folder / WEIGHTS) as part:
         part.write_bytes(save(weights))  # save_file would let nobody else read it
     kind = {
-        "model": asdict(model),
+        "model": asdict(network.config),
         "directions": network.n_directions,
-        "max_objects": max_objects,
-        "image_size": image_size,
+        "max_objects": network.max_objects,
+        "image_size": network.image_size,
     }
     write_json(folder / ABOUT, {**kind, **about})
 
@@ -102,7 +92,7 @@ def load_policy(
     epsilon: float = 0.0,
     loop_distance: float | None = 0.02,
     seed: int = 0,
-) -> QAgent:
+) -> EpsilonGreedy:
     """A trained policy, ready to be called with observations; needs no Hydra.
 
     Args:
@@ -116,10 +106,11 @@ def load_policy(
         SdfgcnError: There is no such policy, or its files are damaged.
     """
     network, _ = load_network(checkpoint)
-    return QAgent(network, np.random.default_rng(seed), epsilon, loop_distance)
+    rng = np.random.default_rng(seed)
+    return EpsilonGreedy(QAgent(network), rng, epsilon, loop_distance)
 
 
-def trained_agent(config: Config, rng: np.random.Generator) -> QAgent:
+def trained_agent(config: Config) -> QAgent:
     """The agent of the trained Q-network in `config.checkpoint`.
 
     Raises:
@@ -130,12 +121,12 @@ def trained_agent(config: Config, rng: np.random.Generator) -> QAgent:
             f"model.name is '{config.model.name}', which needs trained weights: give checkpoint=..."
         )
     network, about = load_network(config.checkpoint)
-    if config.model.name not in ("released", about["model"]["name"]):
+    if config.model.name != about["model"]["name"]:
         raise SdfgcnError(
             f"checkpoint={config.checkpoint} holds weights of model={about['model']['name']}, but "
             f"model.name is '{config.model.name}'."
         )
-    return QAgent(network, rng, config.eval.epsilon, config.eval.loop_distance)
+    return QAgent(network)
 
 
 def _whole(folder: Path) -> bool:
@@ -149,8 +140,8 @@ def _load(folder: Path, written: int) -> tuple[QNetwork, dict[str, Any]]:
         schema = OmegaConf.structured(MODELS.config_type(about["model"]["name"]))
         model = OmegaConf.to_object(OmegaConf.merge(schema, about["model"]))
         assert isinstance(model, QNetworkConfig)
-        sizes = (about[key] for key in ("directions", "max_objects", "image_size"))
-        network = build_q_network(model, *sizes, 0)
+        n_directions, max_objects = about["directions"], about["max_objects"]
+        network = build_q_network(model, n_directions, max_objects, about["image_size"], 0)
         network.load_state_dict(load_file(folder / WEIGHTS))
     except Exception as error:  # whatever damaged files make their readers raise
         raise SdfgcnError(

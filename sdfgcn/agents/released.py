@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sdfgcn.agents.policy import trained_agent
-from sdfgcn.agents.q_agent import QAgent
+from sdfgcn.agents.epsilon_greedy import QAgent
+from sdfgcn.agents.policy import load_network
 from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.registry import MODELS
@@ -28,5 +28,7 @@ class ReleasedConfig(QNetworkConfig):
 
 @MODELS.register("released", config=ReleasedConfig)
 def released(config: Config, rng: np.random.Generator) -> QAgent:
-    """Build the agent of the released weights that `config.checkpoint` names."""
-    return trained_agent(config, rng)
+    """Build the agent of the weights that `config.checkpoint` names; it draws nothing."""
+    assert config.checkpoint is not None  # the config has been checked
+    network, _ = load_network(config.checkpoint)
+    return QAgent(network)

@@ -4,73 +4,54 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from tensordict import TensorDictBase
+from torch import Tensor
 
-from sdfgcn.config import N_DIRECTIONS, Config
+from sdfgcn.config import Config
+from sdfgcn.push_space import PushSpace
 from sdfgcn.registry import MODELS
-
-TURN = 2 * np.pi / N_DIRECTIONS
 
 
 @MODELS.register("rule_based")
 class RuleBasedAgent:
-    """Pushes a random object that has not reached its goal in the nearest direction towards it.
+    """Prefers to push a random object that is not at its goal in the nearest direction towards it.
 
-    Under `perception=oracle` it knows which object belongs to which goal and where both truly
-    lie, as in the paper; under any other it goes by the matched detections and their centres.
-    Where the mask forbids that push, it takes the next nearest direction, then another object.
+    Under `perception=oracle` it knows where the objects and their goals truly lie, as in the
+    paper; under any other it goes by the matched detections and their centres.
     """
 
     def __init__(self, config: Config, rng: np.random.Generator) -> None:
+        """Read the rule's numbers, and take the generator that the object is drawn from."""
         self._threshold = config.env.success_threshold
         self._where = "position" if config.env.perception.name == "oracle" else "center"
+        self._pushes = PushSpace(config.env.push, config.env.arena)
         self._rng = rng
 
-    def __call__(self, td: TensorDictBase) -> TensorDictBase:
-        """Set `action`.
+    def __call__(self, td: TensorDictBase) -> Tensor:
+        """Rank the pushes: first the drawn object's, then those of the others.
+
+        The object is drawn among those that are away from their goals and have a legal push, or
+        among all that have one. After it come the others that are away, then all others, by row.
+        The pushes of each object are ranked by their angle to its goal.
 
         Args:
-            td: One environment's observation, without batch dimension: `position` and
-                `goal_position` (or `center` and `goal_center`) float [N, 2] in metres,
-                `correspondence` int64 [N], `node_mask` bool [N], `action_mask` bool [N * 8].
+            td: One environment's observation, without batch dimension, with a legal push.
 
         Returns:
-            The same TensorDict with `action` int64 [], object * 8 + direction.
-
-        Raises:
-            ValueError: The mask allows no action at all.
+            float32 [N * D], higher is better.
         """
-        match = td["correspondence"].numpy()
-        goal, current = td[f"goal_{self._where}"].double(), td[self._where].double()
-        offsets = goal.numpy()[match] - current.numpy()
-        legal = td["action_mask"].numpy().reshape(-1, N_DIRECTIONS)
-        obj, direction = self._choose(offsets, td["node_mask"].numpy() & (match >= 0), legal)
-        td["action"] = torch.tensor(obj * N_DIRECTIONS + direction, dtype=torch.int64)
-        return td
-
-    def _choose(
-        self, offsets: NDArray[np.float64], nodes: NDArray[np.bool_], legal: NDArray[np.bool_]
-    ) -> tuple[int, int]:
-        away = nodes & (np.linalg.norm(offsets, axis=1) > self._threshold)
-        movable = legal.any(axis=1)
-        for candidates in (away & movable, movable):
-            if candidates.any():
-                obj = int(self._rng.choice(np.flatnonzero(candidates)))
-                ranked = nearest_directions(offsets[obj])
-                return obj, int(ranked[legal[obj, ranked]][0])
-        raise ValueError("action_mask allows no action.")
-
-
-def nearest_directions(offset: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Rank the push directions by their angle to an offset, nearest first.
-
-    Args:
-        offset: [2] metres, world x and y.
-
-    Returns:
-        [8] directions; direction k heads k * 45 degrees counter-clockwise from the x axis.
-    """
-    angle = np.arctan2(offset[1], offset[0])
-    gap = (np.arange(N_DIRECTIONS) * TURN - angle + np.pi) % (2 * np.pi) - np.pi
-    return np.argsort(np.abs(gap), kind="stable")
+        matched = (td["matched"] & td["scene", "node_mask"]).numpy()
+        goal, current = (td[part, self._where].double().numpy() for part in ("goal", "scene"))
+        offsets = np.where(matched[:, None], goal, 0.0) - current  # without a goal: to the middle
+        movable = self._pushes.by_direction(td["action_mask"]).any(dim=-1).numpy()
+        away = movable & matched & (np.linalg.norm(offsets, axis=1) > self._threshold)
+        drawn = int(self._rng.choice(np.flatnonzero(away if away.any() else movable)))
+        rows = dict.fromkeys([drawn, *np.flatnonzero(away).tolist(), *range(len(movable))])
+        ranked = [
+            self._pushes.encode(row, int(direction))
+            for row in rows
+            for direction in self._pushes.nearest(offsets[row])
+        ]
+        preferences = torch.zeros(len(ranked))
+        preferences[ranked] = torch.arange(len(ranked), 0, -1, dtype=torch.float32)
+        return preferences

@@ -36,20 +36,21 @@ from sdfgcn.config.experiment import (
 )
 from sdfgcn.config.model import ModelConfig, QNetworkConfig
 from sdfgcn.config.train import (
+    ArrangementsConfig,
     AugmentConfig,
     BudgetConfig,
     CollectorConfig,
     CurriculumConfig,
     HerConfig,
-    ScenesConfig,
+    SegmentationTrainingConfig,
     TrainConfig,
-    TrainUCNConfig,
 )
 
 __all__ = [
     "N_DIRECTIONS",
     "SPLITS",
     "ArenaConfig",
+    "ArrangementsConfig",
     "AugmentConfig",
     "BudgetConfig",
     "CollectorConfig",
@@ -71,10 +72,9 @@ __all__ = [
     "RobotConfig",
     "RuntimeConfig",
     "ScenarioConfig",
-    "ScenesConfig",
     "SegmentationConfig",
+    "SegmentationTrainingConfig",
     "TrainConfig",
-    "TrainUCNConfig",
     "VizConfig",
     "check_above_zero",
     "check_at_least",

@@ -83,8 +83,8 @@ class TrainConfig:
 
 
 @dataclass
-class ScenesConfig:
-    """The pictures that a segmenter is trained on (`conf/train_ucn.yaml`)."""
+class ArrangementsConfig:
+    """The pictures that a segmenter is trained on (`conf/train_segmentation.yaml`)."""
 
     layouts: int = MISSING
     appearances: int = MISSING
@@ -110,8 +110,8 @@ class ScenesConfig:
 
 
 @dataclass
-class TrainUCNConfig:
-    """Training of the segmentation network (`conf/train_ucn.yaml`)."""
+class SegmentationTrainingConfig:
+    """Training of the segmentation network (`conf/train_segmentation.yaml`)."""
 
     seed: int = MISSING
     n_objects: int = MISSING
@@ -126,6 +126,6 @@ class TrainUCNConfig:
     torch_threads: int = MISSING
     checkpoint_steps: int = MISSING
     validation_scenes: int = MISSING
-    scenes: ScenesConfig = field(default_factory=ScenesConfig)
+    arrangements: ArrangementsConfig = field(default_factory=ArrangementsConfig)
     catalogues: dict[str, ObjectsConfig] = field(default_factory=dict)
     env: EnvConfig = field(default_factory=EnvConfig)

@@ -21,7 +21,8 @@ import torch
 from torch import Generator, Tensor, nn
 from torch.nn.functional import relu
 
-from sdfgcn.models.nodes import OccupiedNodes
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.models.graph import OccupiedNodes
 
 # In a graph of three objects with goals, a node gets a quarter of each of three neighbours and of
 # itself; these gains give the two sums a node's own size again.
@@ -103,6 +104,29 @@ def q_head(n_inputs: int, hidden: int, n_outputs: int) -> nn.Sequential:
         nn.ReLU(inplace=True),
         nn.Linear(hidden, n_outputs),
     )
+
+
+def check_widths(
+    key: str, values: Sequence[Sequence[int]], blocks: Sequence[Sequence[object]]
+) -> None:
+    """Check for whole numbers of at least 1, one for every entry of every block.
+
+    Args:
+        key: Where `values` stand in the config.
+        values: Block by block.
+        blocks: Their lengths are what those of `values` must be.
+
+    Raises:
+        SdfgcnError: A number is missing, or below 1.
+    """
+    lengths = [len(block) for block in blocks]
+    if not values or [len(block) for block in values] != lengths or min(lengths) < 1:
+        raise SdfgcnError(
+            f"{key} is {values}, but must have an entry for every block and layer of channels, "
+            f"whose lengths are {lengths}."
+        )
+    if min(min(block) for block in values) < 1:
+        raise SdfgcnError(f"{key} is {values}, but every number must be at least 1.")
 
 
 @torch.no_grad()

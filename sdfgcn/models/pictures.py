@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from omegaconf import MISSING
 from torch import Tensor
 
-from sdfgcn.config import QNetworkConfig, lookup
+from sdfgcn.config import QNetworkConfig, check_above_zero, lookup
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.models.checks import check_above_zero, check_widths
+from sdfgcn.models.layers import check_widths
 
 
 def scaled_sdf(sdf: Tensor, unit: float) -> Tensor:
@@ -81,13 +81,12 @@ class ConvConfig(QNetworkConfig):
     def check_network(self, image_size: int) -> None:
         """See `QNetworkConfig`."""
         lookup(PICTURES, "model.features", self.features)
-        check_above_zero("model.sdf_unit", self.sdf_unit)
         width = lookup(self.widths, "model.width", self.width)
         key = f"model.widths.{self.width}"
         check_widths(f"{key}.channels", width.channels, width.channels)
         check_widths(f"{key}.strides", width.strides, width.channels)
         check_widths(f"{key}.pooling", [width.pooling], [width.channels])
-        check_above_zero(f"{key}.hidden", width.hidden)
+        check_above_zero({"model.sdf_unit": self.sdf_unit, f"{key}.hidden": width.hidden})
         if width.final_size(image_size) < 1:
             raise SdfgcnError(
                 f"{key}.strides {width.strides} and pooling {width.pooling} leave nothing of a "

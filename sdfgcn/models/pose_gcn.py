@@ -2,26 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from operator import attrgetter
 
 import torch
 from omegaconf import MISSING
 from torch import Tensor, nn
 
-from sdfgcn.config import QNetworkConfig, lookup
-from sdfgcn.graph import EDGES
-from sdfgcn.models.checks import check_above_zero, check_widths
-from sdfgcn.models.layers import PROPAGATIONS, Propagation, linear_block, q_head
-from sdfgcn.models.nodes import GRAPH_KEYS, OccupiedNodes
+from sdfgcn.config import QNetworkConfig, check_above_zero, lookup
+from sdfgcn.models.graph import EDGES, OccupiedNodes
+from sdfgcn.models.layers import PROPAGATIONS, Propagation, check_widths, linear_block, q_head
 from sdfgcn.models.q_network import QNetwork, spread_to_rows
 from sdfgcn.registry import MODELS
+from sdfgcn.scene import Scene
 
-# The observation's key, and that of the goal.
-POSITIONS: dict[str, tuple[str, str]] = {
-    "center": ("center", "goal_center"),
-    "position": ("position", "goal_position"),
+# Which positions a network can read of a scene, [*B, N, 2] in metres.
+POSITIONS: dict[str, Callable[[Scene], Tensor]] = {
+    "center": attrgetter("center"),
+    "position": attrgetter("position"),
 }
 
 
@@ -51,8 +51,7 @@ class PoseGcnConfig(QNetworkConfig):
         lookup(EDGES, "model.edges", self.edges)
         lookup(PROPAGATIONS, "model.propagation", self.propagation)
         check_widths("model.channels", self.channels, self.channels)
-        check_above_zero("model.hidden", self.hidden)
-        check_above_zero("model.position_unit", self.position_unit)
+        check_above_zero({"model.hidden": self.hidden, "model.position_unit": self.position_unit})
 
 
 @MODELS.register("pose_gcn", "gt_pose_gcn", config=PoseGcnConfig)
@@ -71,9 +70,8 @@ class PoseGcn(QNetwork):
             max_objects: Not used: the weights are the same for every node.
             image_size: Not used: there is no picture.
         """
-        keys = POSITIONS[config.features]
-        super().__init__([*keys, *GRAPH_KEYS], n_directions)
-        self._keys = keys
+        super().__init__(config, n_directions, max_objects, image_size)
+        self._position = POSITIONS[config.features]
         self._edges = config.edges
         self._unit = config.position_unit
         self.blocks, self.propagations = nn.ModuleList(), nn.ModuleList()
@@ -85,14 +83,13 @@ class PoseGcn(QNetwork):
             self.propagations.append(Propagation(linear, config.propagation))
         self.head = q_head(n_channels, config.hidden, n_directions)
 
-    def action_values(self, observation: Mapping[str, Tensor]) -> Tensor:
+    def action_values(self, scene: Scene, goal: Scene, matched: Tensor) -> Tensor:
         """See `QNetwork`."""
-        nodes = OccupiedNodes(observation, self._edges)
-        here, there = (observation[key] for key in self._keys)
-        positions = nodes.gather(here, there) / self._unit
+        nodes = OccupiedNodes(scene, goal, matched, self._edges)
+        positions = nodes.gather(self._position(scene), self._position(goal)) / self._unit
         rows = torch.cat([positions, nodes.is_goal.to(positions.dtype).unsqueeze(-1)], dim=-1)
         layers = list(zip(self.blocks, self.propagations, strict=True))
         for block, propagation in layers:
             last = propagation is layers[-1][1]
             rows = propagation(block(rows), nodes, current_only=last)
-        return spread_to_rows(self.head(rows), observation["node_mask"])
+        return spread_to_rows(self.head(rows), scene.node_mask)

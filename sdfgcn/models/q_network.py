@@ -1,9 +1,8 @@
-"""What all Q-networks share: how they are called by TorchRL."""
+"""What all Q-networks share: how they are built, and how TorchRL calls them."""
 
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import torch
@@ -11,42 +10,67 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from sdfgcn.config import QNetworkConfig
+from sdfgcn.scene import Scene
+
 
 class QNetwork(TensorDictModuleBase):
     """Reads an observation of any batch shape, writes the value of every action.
 
-    A subclass registers with `sdfgcn.registry.MODELS` and is built with `(config.model,
-    n_directions, max_objects, image_size)`. `*B` is the batch shape, N the number of rows, D that
-    of push directions.
+    A subclass implements `action_values` and registers with `sdfgcn.registry.MODELS`. `*B` is the
+    batch shape, N the number of rows, D that of push directions.
 
     Attributes:
-        in_keys: The keys of the observation that are read, of shapes [*B, N, ...].
-        out_keys: `action_value`, float32 [*B, N * D], in the order of `PushSpace`'s actions; 0 for
-            rows whose `node_mask` is false.
+        in_keys: `scene`, `goal` and `matched`, as `RearrangementEnv` has them.
+        out_keys: `action_value`, float32 [*B, N * D], in the order of `PushSpace`'s actions.
+        fixed_rows: Whether the network takes observations of `max_objects` rows only.
+        config: The `model` part of the experiment's config.
         n_directions: D.
-        fixed_rows: Whether the network takes observations of `env.max_objects` rows only.
+        max_objects: The N that it was built with.
+        image_size: Height and width of its pictures, pixels.
     """
 
     fixed_rows: ClassVar[bool] = False
 
-    def __init__(self, in_keys: Sequence[str], n_directions: int):
-        """Name the keys; `node_mask` is always read."""
+    def __init__(
+        self, config: QNetworkConfig, n_directions: int, max_objects: int, image_size: int
+    ):
+        """Keep what the network is built from; see the attributes."""
         super().__init__()
-        self.in_keys = ["node_mask", *in_keys]
+        self.in_keys = ["scene", "goal", "matched"]
         self.out_keys = ["action_value"]
+        self.config = config
         self.n_directions = n_directions
+        self.max_objects = max_objects
+        self.image_size = image_size
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Set `action_value` and return the TensorDict."""
-        values = {key: tensordict[key] for key in self.in_keys}
-        *batch, n = values["node_mask"].shape
-        flat = {key: value.reshape(-1, *value.shape[len(batch) :]) for key, value in values.items()}
-        action_value = self.action_values(flat).reshape(*batch, n * self.n_directions)
-        return tensordict.set("action_value", action_value)
+        scene, goal, matched = (tensordict[key] for key in self.in_keys)
+        *batch, n = matched.shape
+        flat = matched.reshape(-1, n)
+        values = self.action_values(_flat(scene, len(flat)), _flat(goal, len(flat)), flat)
+        return tensordict.set("action_value", values.reshape(*batch, n * self.n_directions))
 
     @abstractmethod
-    def action_values(self, observation: Mapping[str, Tensor]) -> Tensor:
-        """Return float32 [B, N, D] from the tensors of `in_keys`, each [B, N, ...]."""
+    def action_values(self, scene: Scene, goal: Scene, matched: Tensor) -> Tensor:
+        """The value of every push of every object.
+
+        Args:
+            scene: Current scenes [B].
+            goal: Their goals [B].
+            matched: bool [B, N] the rows in which both show the same object.
+
+        Returns:
+            float32 [B, N, D], 0 for rows whose `node_mask` is false.
+        """
+
+
+def _flat(scenes: TensorDictBase, count: int) -> Scene:
+    """Scenes of any batch shape with `count` elements as [count]; they share their memory."""
+    if not isinstance(scenes, Scene):  # some of TorchRL's operations leave a plain TensorDict
+        scenes = Scene.from_tensordict(scenes.select(*Scene.declared()))
+    return scenes.reshape(count)
 
 
 def spread_to_rows(values: Tensor, node_mask: Tensor) -> Tensor:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -14,6 +13,7 @@ from sdfgcn.models.layers import conv_block, q_head
 from sdfgcn.models.pictures import PICTURES, ConvConfig
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.registry import MODELS
+from sdfgcn.scene import Scene
 
 
 @dataclass
@@ -41,10 +41,9 @@ class SdfCnn(QNetwork):
             max_objects: N; observations of another number of rows are refused.
             image_size: Height and width of the pictures, pixels.
         """
-        super().__init__(["sdf", "goal_sdf", "goal_node_mask", "correspondence"], n_directions)
+        super().__init__(config, n_directions, max_objects, image_size)
         self._picture = PICTURES[config.features]
         self._unit = config.sdf_unit * image_size
-        self._n = max_objects
         width = config.widths[config.width]
         blocks, n_channels = [], 2 * max_objects
         for block in zip(width.channels, width.strides, width.pooling, strict=True):
@@ -54,25 +53,22 @@ class SdfCnn(QNetwork):
         size = width.final_size(image_size)
         self.head = q_head(n_channels * size**2, width.hidden, max_objects * n_directions)
 
-    def action_values(self, observation: Mapping[str, Tensor]) -> Tensor:
+    def action_values(self, scene: Scene, goal: Scene, matched: Tensor) -> Tensor:
         """See `QNetwork`.
 
         Raises:
             SdfgcnError: The observation has another number of rows than the network.
         """
-        node_mask, sdf = observation["node_mask"], observation["sdf"]
-        if node_mask.shape[-1] != self._n:
+        node_mask, n = scene.node_mask, self.max_objects
+        if node_mask.shape[-1] != n:
             raise SdfgcnError(
                 f"The observation has {node_mask.shape[-1]} rows, but this sdf_cnn was built for "
-                f"{self._n}; set env.max_objects={self._n}, or take a model with a graph."
+                f"{n}; set env.max_objects={n}, or take a model with a graph."
             )
-        goal = observation["correspondence"].clamp(min=0)
-        matched = (observation["correspondence"] >= 0) & node_mask
-        matched = matched & observation["goal_node_mask"].gather(1, goal)
-        batch = torch.arange(len(goal), device=goal.device).unsqueeze(-1)
-        picture = sdf.new_zeros(len(sdf), 2 * self._n, *sdf.shape[2:])
-        picture[:, : self._n][node_mask] = self._picture(sdf[node_mask], self._unit)
-        goals = observation["goal_sdf"][batch.expand_as(goal)[matched], goal[matched]]
-        picture[:, self._n :][matched] = self._picture(goals, self._unit)
-        values = self.head(self.blocks(picture)).float().unflatten(-1, (self._n, self.n_directions))
+        matched = matched & node_mask & goal.node_mask
+        sdf = scene.sdf
+        picture = sdf.new_zeros(len(sdf), 2 * n, *sdf.shape[2:])
+        picture[:, :n][node_mask] = self._picture(sdf[node_mask], self._unit)
+        picture[:, n:][matched] = self._picture(goal.sdf[matched], self._unit)
+        values = self.head(self.blocks(picture)).float().unflatten(-1, (n, self.n_directions))
         return torch.where(node_mask.unsqueeze(-1), values, 0.0)

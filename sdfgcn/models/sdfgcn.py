@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 
@@ -11,12 +10,12 @@ from omegaconf import MISSING
 from torch import Tensor, nn
 
 from sdfgcn.config import lookup
-from sdfgcn.graph import EDGES
+from sdfgcn.models.graph import EDGES, OccupiedNodes
 from sdfgcn.models.layers import PROPAGATIONS, Propagation, conv_block, in_channels_last, q_head
-from sdfgcn.models.nodes import GRAPH_KEYS, OccupiedNodes
 from sdfgcn.models.pictures import PICTURES, ConvConfig
 from sdfgcn.models.q_network import QNetwork, spread_to_rows
 from sdfgcn.registry import MODELS
+from sdfgcn.scene import Scene
 
 
 @dataclass
@@ -54,7 +53,7 @@ class SdfGcn(QNetwork):
             max_objects: Not used: the weights are the same for every node.
             image_size: Height and width of the pictures, pixels.
         """
-        super().__init__(["sdf", "goal_sdf", *GRAPH_KEYS], n_directions)
+        super().__init__(config, n_directions, max_objects, image_size)
         self._edges = config.edges
         self._picture = PICTURES[config.features]
         self._unit = config.sdf_unit * image_size
@@ -69,10 +68,10 @@ class SdfGcn(QNetwork):
         size = width.final_size(image_size)
         self.head = q_head(n_channels * size**2, width.hidden, n_directions)
 
-    def action_values(self, observation: Mapping[str, Tensor]) -> Tensor:
+    def action_values(self, scene: Scene, goal: Scene, matched: Tensor) -> Tensor:
         """See `QNetwork`."""
-        nodes = OccupiedNodes(observation, self._edges)
-        picture = nodes.gather(observation["sdf"], observation["goal_sdf"])
+        nodes = OccupiedNodes(scene, goal, matched, self._edges)
+        picture = nodes.gather(scene.sdf, goal.sdf)
         picture = self._picture(picture, self._unit)
         label = nodes.is_goal.to(picture.dtype)[:, None, None].expand_as(picture)
         # Channels last, where the weights are: else each convolution would copy its input twice.
@@ -82,4 +81,4 @@ class SdfGcn(QNetwork):
         for block, propagation in layers:
             last = propagation is layers[-1][1]
             rows = propagation(block(rows), nodes, current_only=last)
-        return spread_to_rows(self.head(rows), observation["node_mask"])
+        return spread_to_rows(self.head(rows), scene.node_mask)

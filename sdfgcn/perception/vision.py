@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdfgcn.config import PerceptionConfig
+from sdfgcn.perception.base import Perception
 from sdfgcn.perception.matching import Matcher
-from sdfgcn.perception.perception import Perception, View
 from sdfgcn.registry import PERCEPTIONS, SEGMENTERS
+from sdfgcn.world import View
 
 
 @PERCEPTIONS.register("vision")
@@ -27,7 +28,8 @@ class VisionPerception(Perception):
             SdfgcnError: There is no such segmenter or encoder, or its weights cannot be had.
         """
         super().__init__(config, max_objects)
-        self._segment = SEGMENTERS.find(config.segmentation.name)(config.segmentation)
+        segmentation = config.segmentation
+        self._segment = SEGMENTERS.find(segmentation.name)(segmentation)
         self._matcher = Matcher(config.encoder)
         self._goal_features = np.zeros((0, self._matcher.n_features), dtype=np.float32)
 
@@ -38,17 +40,17 @@ class VisionPerception(Perception):
         self._goal_features = self._matcher.features(pixels, masks)
         return masks
 
-    def see(self, view: View) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """The masks found in the current picture, each in its goal's row, and their matches."""
+    def see(self, view: View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """The masks found in the current picture, each in its goal's row if it has one."""
         pixels = view.pixels()
         found = self._find(pixels)
         matches = self._matcher.match(self._matcher.features(pixels, found), self._goal_features)
         rows = rows_of(matches, len(self._goal_features))
         n = max(len(found), len(self._goal_features))
         masks = np.zeros((n, *pixels.shape[:2]), dtype=bool)
-        correspondence = np.full(n, -1, dtype=np.int64)
-        masks[rows], correspondence[rows] = found, matches
-        return masks, correspondence
+        matched = np.zeros(n, dtype=bool)
+        masks[rows], matched[rows] = found, matches >= 0
+        return masks, matched
 
     def _find(self, pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
         """[m, H, W] the largest masks first, no more than there are rows."""

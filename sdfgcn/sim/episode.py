@@ -20,7 +20,7 @@ MAX_DRAWS = 200  # sets of objects and layouts tried before an episode is called
 
 
 @dataclass(frozen=True)
-class Episode:
+class EpisodeSpec:
     """Everything random about an episode, drawn before it begins.
 
     Attributes:
@@ -38,7 +38,7 @@ class Episode:
     colors: NDArray[np.float64]
 
 
-def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig) -> Episode:
+def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig) -> EpisodeSpec:
     """Draw an episode from its seed alone.
 
     Args:
@@ -78,7 +78,7 @@ def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig)
         except NoRoom:
             continue
         heights = [[rest.height] for rest in rests]
-        return Episode(
+        return EpisodeSpec(
             seed=seed,
             objects=chosen,
             start=np.hstack([layout.start, heights, start]),

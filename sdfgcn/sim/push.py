@@ -10,23 +10,12 @@ import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
 
-from sdfgcn.config import N_DIRECTIONS, ArenaConfig, PushConfig
+from sdfgcn.config import ArenaConfig, PushConfig
 from sdfgcn.geometry.region import Region
-from sdfgcn.sim.robots.robot import Robot, Unreachable
-from sdfgcn.sim.types import PushCommand, PushStatus
+from sdfgcn.sim.robots import Robot, Unreachable
+from sdfgcn.world import PushCommand, PushResult
 
 NEGLIGIBLE = 0.1  # rad/s2 or m/s2 of a drive, for which no feed-forward is worked out
-
-
-def direction_angle(direction: int) -> float:
-    """Angle of one of the 8 directions, radians counter-clockwise from the world's x axis."""
-    return 2.0 * np.pi * direction / N_DIRECTIONS
-
-
-def direction_vector(direction: int) -> NDArray[np.float64]:
-    """Unit vector [2] of one of the 8 directions."""
-    angle = direction_angle(direction)
-    return np.array([np.cos(angle), np.sin(angle)])
 
 
 class PushPrimitive:
@@ -44,51 +33,46 @@ class PushPrimitive:
         self._reach = Region.reach(arena)
         self._robot = robot
 
-    def execute(
-        self, physics: mjcf.Physics, command: PushCommand
-    ) -> tuple[PushStatus, NDArray[np.float64], NDArray[np.float64]]:
+    def execute(self, physics: mjcf.Physics, command: PushCommand) -> PushResult:
         """Push, and leave the robot at home; props may still be moving.
 
         The robot crosses the free space above the props in one jump: nothing there can be
         touched, so simulating it would only cost time. Descent, push and lift are simulated; a
-        robot that jumps is not driven down, but put there. A descent that would touch anything
+        robot that teleports is not driven down, but put there. A descent that would touch anything
         is given up, and nothing moves; one that does so all the same is given up there.
 
         Args:
             physics: Stepped in place.
             command: What to push; a start that is NaN or outside the bounds is unreachable.
-
-        Returns:
-            How it ended, and the tool's [3] start and end in metres.
         """
         config = self._config
-        ahead = direction_vector(command.direction)
+        ahead = np.array([np.cos(command.angle), np.sin(command.angle)])
         start = np.array([*command.start, config.height])
         if not self._reach.contains(command.start):
-            return "unreachable", start, start
+            return PushResult("unreachable", start, start)
         above = np.array([*start[:2], config.height + config.approach])
         furthest = self._room(command.start, ahead, command.free + 2.0 * config.length)
         end = start + furthest * np.array([*ahead, 0.0])
         # The fingers stand side by side across the push; half a turn more is the same gripper.
-        yaw = direction_angle(command.direction) % np.pi - np.pi / 2
+        yaw = command.angle % np.pi - np.pi / 2
         try:
             q_above = self._robot.solve(np.array([*above, yaw]))
             descent = _Path(self._robot, yaw, above, start, q_above, config.waypoint_spacing)
             push = _Path(self._robot, yaw, start, end, descent.joints[-1], config.waypoint_spacing)
         except Unreachable:
-            return "unreachable", start, start
+            return PushResult("unreachable", start, start)
 
         if not self._free(physics, descent) or not self._descend(physics, descent):
             self._robot.place(physics, self._robot.home)
-            return "blocked", start, start
+            return PushResult("blocked", start, start)
         reached, touched = self._push(physics, push, command.free + config.length)
         self._lift(physics, yaw, push, reached)
-        return ("done" if touched else "no_contact"), start, push.at(reached)[0]
+        return PushResult("done" if touched else "no_contact", start, push.at(reached)[0])
 
     def _free(self, physics: mjcf.Physics, path: _Path) -> bool:
         """Whether the robot can go along a path without touching a prop.
 
-        It is put at every other knot, and nothing moves: the props lie still while the tool comes
+        It is put at every other waypoint, and nothing moves: the props lie still while the tool comes
         down. What the tool passes in between, its shaft touches further down.
         """
         model, data = physics.model.ptr, physics.data.ptr
@@ -257,12 +241,12 @@ def ramped(
 
 
 class _Path:
-    """A straight tool path at one yaw, solved at knots; joints are linear in between."""
+    """A straight tool path at one yaw, solved at waypoints; joints are linear in between."""
 
-    def __init__(self, robot: Robot, yaw: float, origin, target, q_origin: NDArray, knot: float):
+    def __init__(self, robot: Robot, yaw: float, origin, target, q_origin: NDArray, spacing: float):
         self.length = float(np.linalg.norm(target - origin))
         self._origin, self._target = origin, target
-        count = max(1, int(np.ceil(self.length / knot)))
+        count = max(1, int(np.ceil(self.length / spacing)))
         share = np.arange(count + 1) / count
         self._spacing = self.length / count
         poses = np.full((count + 1, 4), yaw)

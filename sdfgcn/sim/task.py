@@ -7,30 +7,27 @@ from collections.abc import Sequence
 import mujoco
 import numpy as np
 from dm_control import composer, mjcf
-from dm_env import specs
 from mujoco import mjtSleepPolicy
 from numpy.typing import NDArray
 
-from sdfgcn.config import N_DIRECTIONS, EnvConfig
-from sdfgcn.geometry.region import Region
+from sdfgcn.config import EnvConfig
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.arena import GROUP_PARKED, GROUP_SCENE, Table
-from sdfgcn.sim.episode import Episode
+from sdfgcn.sim.episode import EpisodeSpec
 from sdfgcn.sim.props import CONAFFINITY_PROP, CONTYPE_PROP, PARKING, Prop
 from sdfgcn.sim.push import PushPrimitive
-from sdfgcn.sim.reward import reward_terms
-from sdfgcn.sim.types import Push, PushCommand
+from sdfgcn.world import PushCommand, PushResult
 
 READY_TO_SLEEP = -1  # to which MuJoCo counts tree_asleep up while a tree lies still
 SETTLE_STEPS = 5  # simulation steps between two looks at whether the props are at rest
 
 
 class RearrangementTask(composer.Task):
-    """Push the props of an episode to their goals (paper section IV).
+    """The props of an episode on the table, and a robot that pushes them (paper section IV).
 
-    The action of one control step is a planned push: start x and y in metres, direction 0..7,
-    free distance in metres. `begin` hands over the episode before each reset.
+    Composer builds, compiles and resets it. `begin` hands over the episode before each reset;
+    `execute` runs a push. What a push is worth is the environment's to say.
     """
 
     def __init__(self, config: EnvConfig, catalogue: Sequence[ObjectModel]):
@@ -44,12 +41,8 @@ class RearrangementTask(composer.Task):
             # Parked from the start: props piled up at the origin would all be in contact.
             self._table.add_free_entity(prop).pos = PARKING + np.array([0.5 * i, 0.0, 0.0])
         self._primitive = PushPrimitive(config.push, config.arena, self.robot)
-        self._range = Region.range(config.arena)
         self.control_timestep = config.physics.timestep
-        self._episode: Episode | None = None
-        self._left = np.zeros((0, 7))
-        self._previous = self._distances = np.zeros(0)
-        self._last_push: Push | None = None
+        self._episode: EpisodeSpec | None = None
 
     @property
     def root_entity(self) -> composer.Entity:
@@ -76,23 +69,16 @@ class RearrangementTask(composer.Task):
         )
         self.slot_of_geom = np.full(physics.model.ngeom + 1, -1)
 
-    def begin(self, episode: Episode) -> None:
+    def begin(self, episode: EpisodeSpec) -> None:
         """Set the episode that the next reset starts."""
         self._episode = episode
 
     @property
-    def episode(self) -> Episode:
+    def episode(self) -> EpisodeSpec:
         """The running episode."""
         if self._episode is None:
             raise RuntimeError("begin() was not called before the first reset")
         return self._episode
-
-    @property
-    def last_push(self) -> Push:
-        """The last push; which object was meant is the caller's to know, so `object` is -1."""
-        if self._last_push is None:
-            raise RuntimeError("there was no push in this episode yet")
-        return self._last_push
 
     # ------------------------------------------------------------------ composer's hooks
 
@@ -104,7 +90,7 @@ class RearrangementTask(composer.Task):
         self._dress(physics)
         self.set_poses(physics, self.episode.start, resting=False)
         self._settle(physics)
-        self.resume(physics, self.poses(physics))
+        self.set_poses(physics, self.poses(physics))
 
     def _dress(self, physics: mjcf.Physics) -> None:
         """Show and colour the episode's props; park the others.
@@ -130,86 +116,32 @@ class RearrangementTask(composer.Task):
         self.slot_of_geom[:] = -1
         self.slot_of_geom[self._visuals[chosen]] = np.arange(len(chosen))
 
-    def action_spec(self, physics: mjcf.Physics) -> specs.BoundedArray:
-        """[4]: start x, start y (metres), direction (0..7), free distance (metres)."""
+    def get_reward(self, physics: mjcf.Physics) -> float:
+        """Composer asks for it; the reward is the environment's (`sdfgcn.envs.reward`)."""
         del physics
-        arena = self._config.arena
-        return specs.BoundedArray(
-            shape=(4,),
-            dtype=np.float64,
-            minimum=[arena.reach_x[0], arena.reach_y[0], 0, 0.0],
-            maximum=[arena.reach_x[1], arena.reach_y[1], N_DIRECTIONS - 1, 1.0],
-            name="push",
-        )
+        return 0.0
 
-    def before_step(
-        self, physics: mjcf.Physics, action: NDArray, random_state: np.random.RandomState
-    ) -> None:
-        """Execute the push and let the props come to rest."""
-        del random_state
-        command = PushCommand(start=action[:2], direction=int(action[2]), free=float(action[3]))
+    # ------------------------------------------------------------------ pushing
+
+    def execute(self, physics: mjcf.Physics, command: PushCommand) -> PushResult:
+        """Push, and let the props come to rest.
+
+        The simulation is left in a state that follows from the props' poses alone: velocities,
+        warm starts and sleep are cleared, so that the next push depends on nothing that a saved
+        pose does not hold.
+        """
         options = physics.model.opt
         options.noslip_iterations = 0  # not while the tool moves: see conf/env/rearrangement.yaml
-        status, start, end = self._primitive.execute(physics, command)
+        result = self._primitive.execute(physics, command)
         options.noslip_iterations = self._config.physics.noslip_iterations
-        if status != "unreachable":
+        if result.status != "unreachable":
             self._settle(physics)
-        self._left = self.poses(physics)
-        self._last_push = Push(
-            object=-1, direction=command.direction, start=start, end=end, status=status
-        )
-
-    def after_step(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
-        """Leave the simulation in a state that follows from the props' poses alone.
-
-        Velocities, warm starts and sleep are cleared, so that the next push depends on nothing
-        that a saved pose does not hold. Composer's own step after the push is taken back: a
-        push that is given up moves nothing.
-        """
-        del random_state
-        self.set_poses(physics, self._left)
-        self._previous, self._distances = self._distances, self._to_goal(self._left)
-
-    def get_reward(self, physics: mjcf.Physics) -> float:
-        """The sum of the reward's terms, as far as the simulation can tell."""
-        del physics
-        return sum(self.reward_terms().values())
-
-    # ------------------------------------------------------------------ what is true
-
-    def reward_terms(self, vanished: int = 0, none_left: bool = False) -> dict[str, float]:
-        """The last push's reward terms; see `sdfgcn.sim.reward`."""
-        return reward_terms(
-            self._config.reward,
-            self._previous,
-            self._distances,
-            success=self.success,
-            out_of_range=self.out_of_range,
-            vanished=vanished,
-            none_left=none_left,
-        )
+        self.set_poses(physics, self.poses(physics))
+        return result
 
     def poses(self, physics: mjcf.Physics) -> NDArray[np.float64]:
         """[n, 7] true poses in slot order: xyz in metres, quaternion w, x, y, z."""
         return physics.data.qpos[self._qpos[self.episode.objects]].copy()
-
-    @property
-    def distances(self) -> NDArray[np.float64]:
-        """[n] horizontal distance of each object's centre to its goal after the push, metres."""
-        return self._distances
-
-    @property
-    def success(self) -> bool:
-        """Whether every object is within the threshold of its goal at the same moment."""
-        return bool((self._distances <= self._config.success_threshold).all())
-
-    @property
-    def out_of_range(self) -> bool:
-        """Whether some object's centre has left the allowed region."""
-        return not self._range.contains(self._left[:, :2]).all()
-
-    def _to_goal(self, poses: NDArray) -> NDArray[np.float64]:
-        return np.linalg.norm(poses[:, :2] - self.episode.goal[:, :2], axis=1)
 
     # ------------------------------------------------------------------ placing and settling
 
@@ -231,13 +163,6 @@ class RearrangementTask(composer.Task):
         # As much of the forward pass as a picture needs; the next step does all of it.
         mujoco.mj_kinematics(physics.model.ptr, physics.data.ptr)
         mujoco.mj_camlight(physics.model.ptr, physics.data.ptr)
-
-    def resume(self, physics: mjcf.Physics, poses: NDArray) -> None:
-        """Go on from [n, 7] poses as if the last push had left the objects there."""
-        self.set_poses(physics, poses)
-        self._left = np.array(poses)
-        self._last_push = None
-        self._previous = self._distances = self._to_goal(self._left)
 
     def _settle(self, physics: mjcf.Physics) -> None:
         """Step until every prop sleeps, which is to say lies still; at most `settle_seconds`."""

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from sdfgcn.config import CurriculumConfig
 
 
-class Counts:
+class ObjectCountSampler:
     """Draws the number of objects of an episode, in whichever process plays it.
 
     `reached` says how many of the counts are open, in memory that all processes share: the
-    learner opens the next one for all actors at once.
+    learner opens the next one for all collectors at once.
     """
 
     def __init__(self, curriculum: CurriculumConfig, n_objects: int) -> None:
@@ -50,10 +50,21 @@ class Counts:
 class Curriculum:
     """Opens the next count once the newest is mastered (the learner's part)."""
 
-    def __init__(self, config: CurriculumConfig, counts: Counts) -> None:
+    def __init__(self, config: CurriculumConfig, counts: ObjectCountSampler) -> None:
         self._config = config
         self._counts = counts
         self._recent: deque[bool] = deque(maxlen=max(config.window, 1))
+
+    @property
+    def newest(self) -> int:
+        """The largest number of objects of an episode now."""
+        return self._counts.newest
+
+    def pushed(self, collected: TensorDictBase) -> None:
+        """Take [T] pushes as a collector hands them over."""
+        outcome = collected["next"]
+        for i in outcome["done"].squeeze(-1).nonzero().squeeze(-1).tolist():
+            self.episode_ended(int(outcome["n_objects"][i]), bool(outcome["success"][i]))
 
     def episode_ended(self, n_objects: int, success: bool) -> None:
         """Take an episode's end; only those at the newest count tell."""
@@ -74,8 +85,4 @@ class Curriculum:
         """Go on from what a checkpoint kept."""
         self._counts.reached.fill_(int(state["reached"]))
         self._recent.clear()
-        self._recent.extend(map(bool, _numbers(state["recent"])))
-
-
-def _numbers(values: Iterable[Any]) -> list[int]:
-    return [int(value) for value in values]
+        self._recent.extend(bool(int(value)) for value in state["recent"])

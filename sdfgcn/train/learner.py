@@ -9,13 +9,13 @@ from typing import Any
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import TensorDictModuleBase
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.data import Categorical
-from torchrl.modules import EGreedyModule, QValueActor
+from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
 
-from sdfgcn.config import N_DIRECTIONS, TrainConfig, lookup
+from sdfgcn.config import TrainConfig, lookup
 from sdfgcn.errors import SdfgcnError
 
 PRECISIONS = {"float32": None, "bfloat16": torch.bfloat16}
@@ -27,13 +27,13 @@ class Learner:
     """Holds everything that an update changes."""
 
     def __init__(
-        self, network: TensorDictModuleBase, n_objects: int, train: TrainConfig, device: str
+        self, network: TensorDictModuleBase, actions: Categorical, train: TrainConfig, device: str
     ) -> None:
         """Wrap a Q-network for learning.
 
         Args:
-            network: Sets `action_value` [*B, n_objects * 8]; it is trained in place.
-            n_objects: Slots of an observation.
+            network: Sets `action_value` [*B, N * D]; it is trained in place.
+            actions: The spec of an action.
             train: The learning's numbers.
             device: Where to compute.
 
@@ -48,9 +48,9 @@ class Learner:
         self._device = torch.device(device)
         # A third less time an update on a CPU, and nothing else changes.
         self.network = network.to(self._device).to(memory_format=torch.channels_last)
-        self.precision = "float32"
+        self.precision: str | None = None  # chosen before the first update
         self._loss = DQNLoss(
-            q_actor(network, n_objects),
+            q_actor(network, actions),
             loss_function=train.loss,
             double_dqn=True,
             delay_value=True,
@@ -118,7 +118,7 @@ class Learner:
         return time.perf_counter() - clock
 
     def _loss_of(self, batch: TensorDictBase) -> torch.Tensor:
-        dtype = PRECISIONS[self.precision]
+        dtype = PRECISIONS[self.precision or "float32"]
         cast = nullcontext() if dtype is None else torch.autocast(self._device.type, dtype)
         with cast:
             return self._loss(batch)["loss"]
@@ -143,61 +143,11 @@ class Learner:
         self._target.counter = self.updates % self._train.target_interval
 
 
-def q_actor(network: TensorDictModuleBase, n_objects: int) -> QValueActor:
+def q_actor(network: TensorDictModuleBase, actions: Categorical) -> QValueActor:
     """A network as a greedy policy over the legal actions."""
     return QValueActor(
         module=network,
-        spec=Categorical(n_objects * N_DIRECTIONS, shape=(), dtype=torch.int64),
+        spec=actions,
         action_space="categorical",
         action_mask_key="action_mask",
     )
-
-
-class Explorer:
-    """The actors' policy: a copy of the network on the CPU, greedy but for a falling epsilon."""
-
-    def __init__(
-        self,
-        network: TensorDictModuleBase,
-        n_objects: int,
-        train: TrainConfig,
-        epsilon_pushes: int,
-    ) -> None:
-        """Copy the network.
-
-        Args:
-            network: The learner's.
-            n_objects: Slots of an observation.
-            train: The first and last epsilon.
-            epsilon_pushes: Pushes over which it falls.
-        """
-        self._network = copy.deepcopy(network).cpu().requires_grad_(False)
-        self._greedy = EGreedyModule(
-            spec=Categorical(n_objects * N_DIRECTIONS, shape=(), dtype=torch.int64),
-            eps_init=train.epsilon_start,
-            eps_end=train.epsilon_end,
-            annealing_num_steps=epsilon_pushes,
-            action_mask_key="action_mask",
-        )
-        self.policy = TensorDictSequential(q_actor(self._network, n_objects), self._greedy)
-
-    @property
-    def epsilon(self) -> float:
-        """The share of random pushes now."""
-        return float(self._greedy.eps)
-
-    def follow(self, network: TensorDictModuleBase) -> None:
-        """Take over the learner's weights."""
-        self._network.load_state_dict(network.state_dict())
-
-    def pushed(self, pushes: int) -> None:
-        """Let epsilon fall by so many pushes."""
-        self._greedy.step(pushes)
-
-    def state_dict(self) -> dict[str, Any]:
-        """Epsilon, for a checkpoint; the weights are the learner's."""
-        return {"epsilon": self.epsilon}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what a checkpoint kept."""
-        self._greedy.eps.fill_(float(state["epsilon"]))

@@ -7,110 +7,94 @@ megabytes in a compressed checkpoint.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import torch
-from tensordict import TensorDict, TensorDictBase
-from torch import Tensor
+from tensordict import TensorDictBase
 from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.data.replay_buffers import RandomSampler
 from torchrl.envs.transforms import Transform
 
 from sdfgcn.config import Config
-from sdfgcn.perception.sdf import SdfCache
+from sdfgcn.perception.sdf import SdfTransform
+from sdfgcn.push_space import PushSpace
+from sdfgcn.scene import Scene
 from sdfgcn.train.mirror import MirrorTransform
 
-GOAL_KEYS = ("goal_sdf", "goal_node_mask", "goal_center", "goal_position")
-SCENE_KEYS = ("sdf", "node_mask", "center", "position", "correspondence", "action_mask")
-OUTCOME_KEYS = ("reward", "terminated", "done")
 
-# Where SDFs stand in a transition, and the node mask that belongs to each.
-_SDFS: tuple[tuple[Any, Any], ...] = (
-    ("sdf", "node_mask"),
-    ("goal_sdf", "goal_node_mask"),
-    (("next", "sdf"), ("next", "node_mask")),
-)
+class Replay:
+    """What has been seen: `stored` makes transitions of pushes, `extend` keeps, `sample` draws."""
 
+    def __init__(self, config: Config) -> None:
+        """Make an empty buffer with the transforms that the config asks for."""
+        train, env = config.train, config.train.env
+        self._sdf = SdfTransform(
+            env.perception.sdf, env.arena.image_size, train.sdf_cache, np.float16
+        )
+        self.buffer = ReplayBuffer(
+            storage=LazyTensorStorage(train.replay_capacity),
+            sampler=RandomSampler(),
+            batch_size=train.batch_size,
+        )
+        filled = _Filled(self.buffer)
+        self.buffer.register_save_hook(filled.cut)
+        self.buffer.register_load_hook(filled.padded)
+        self.buffer.append_transform(_Unpack(self._sdf))
+        if config.augment.name == "mirror":
+            push_space = PushSpace(env.push, env.arena)
+            self.buffer.append_transform(MirrorTransform(config.augment.probability, push_space))
 
-class PackMasks(Transform):
-    """Packs SDFs to the bits of their masks on the way in, and restores them on the way out.
+    def __len__(self) -> int:
+        """How many transitions it holds."""
+        return len(self.buffer)
 
-    On the way out the goal is copied into "next", where the loss looks for it.
-    """
+    def stored(self, collected: TensorDictBase) -> TensorDictBase:
+        """What is kept of [T] pushes as a collector hands them over.
 
-    def __init__(self, cache: SdfCache, image_size: int) -> None:
-        """Make the transform.
-
-        Args:
-            cache: Gets the SDFs that come in, and gives those that go out.
-            image_size: H and W.
+        Observation, action and outcome, with the masks' bits in place of SDFs; the next
+        observation's goal is left out, for it is the same.
         """
-        super().__init__()
-        self._cache = cache
-        self._size = image_size
+        outcome = collected["next"].exclude("goal")
+        kept = collected.select(*collected["next"].keys(), "action", strict=False)
+        return _scenes_changed(
+            kept.set("next", outcome), lambda scene: scene.packed(self._sdf.pack)
+        )
 
-    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        packed = tensordict.exclude(*(sdf for sdf, _ in _SDFS))
-        for sdf, nodes in _SDFS:
-            packed[sdf] = self._pack(tensordict[sdf], tensordict[nodes])
-        return packed
+    def extend(self, transitions: TensorDictBase | None) -> None:
+        """Keep what `stored` returned, or other transitions like it."""
+        if transitions is not None:
+            self.buffer.extend(transitions)
+
+    def sample(self) -> TensorDictBase:
+        """Draw a batch [B] that a DQN loss understands."""
+        return self.buffer.sample()
+
+
+class _Unpack(Transform):
+    """Restores SDFs from bits, and copies the goal into "next", where the loss looks for it."""
+
+    def __init__(self, sdf: SdfTransform) -> None:
+        super().__init__()
+        self._sdf = sdf
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Restore [B, N, H, W] float32 SDFs from [B, N, H * W / 8] bits."""
-        restored = tensordict.copy()
-        for sdf, nodes in _SDFS:
-            restored[sdf] = self._unpack(tensordict[sdf], tensordict[nodes])
-        for key in GOAL_KEYS:
-            restored["next", key] = restored[key]
+        restored = _scenes_changed(tensordict, lambda scene: scene.unpacked(self._sdf.unpack))
+        restored["next", "goal"] = restored["goal"]
         return restored
 
-    def _pack(self, sdf: Tensor, nodes: Tensor) -> Tensor:
-        fields = sdf.numpy()
-        bits = np.packbits((fields < 0.0).reshape(*fields.shape[:-2], -1), axis=-1)
-        for row in zip(*np.nonzero(nodes.numpy()), strict=True):
-            self._cache.put(bits[row].tobytes(), fields[row])
-        return torch.from_numpy(bits)
 
-    def _unpack(self, bits: Tensor, nodes: Tensor) -> Tensor:
-        packed = bits.numpy()
-        fields = np.zeros((*packed.shape[:-1], self._size, self._size), dtype=np.float32)
-        for row in zip(*np.nonzero(nodes.numpy()), strict=True):
-            fields[row] = self._cache.get(packed[row].tobytes())
-        return torch.from_numpy(fields)
-
-
-def transitions(collected: TensorDictBase) -> TensorDict:
-    """What a replay buffer keeps of collected pushes: no key that follows from others.
-
-    Args:
-        collected: [T] as a collector hands it over.
-    """
-    kept = collected.select(*SCENE_KEYS, *GOAL_KEYS, "action")
-    kept["next"] = collected["next"].select(*SCENE_KEYS, *OUTCOME_KEYS)
-    return kept
-
-
-def build_replay(config: Config) -> ReplayBuffer:
-    """An empty replay buffer with the transforms that the config asks for.
-
-    It takes what `transitions` returns, [T], and gives batches [B] that a DQN loss understands.
-    """
-    size = config.env.arena.image_size
-    cache = SdfCache(config.train.sdf_cache, (size, size), config.env.perception.sdf)
-    replay = ReplayBuffer(
-        storage=LazyTensorStorage(config.train.replay_capacity),
-        sampler=RandomSampler(),
-        batch_size=config.train.batch_size,
-    )
-    filled = _Filled(replay)
-    replay.register_save_hook(filled.cut)
-    replay.register_load_hook(filled.padded)
-    replay.append_transform(PackMasks(cache, size))
-    if config.augment.name == "mirror":
-        replay.append_transform(MirrorTransform(config.augment.probability))
-    return replay
+def _scenes_changed(
+    transitions: TensorDictBase, change: Callable[[Scene], Scene]
+) -> TensorDictBase:
+    """A copy in which every scene, wherever it stands, is changed."""
+    result = transitions.copy()
+    for key, value in transitions.items():
+        if isinstance(value, Scene):
+            result[key] = change(value)
+        elif isinstance(value, TensorDictBase):
+            result[key] = _scenes_changed(value, change)
+    return result
 
 
 class _Filled:

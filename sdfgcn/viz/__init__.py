@@ -20,7 +20,7 @@ from sdfgcn.registry import RECORDERS
 
 if TYPE_CHECKING:
     from sdfgcn.config import EnvConfig
-    from sdfgcn.envs.types import EpisodeStart, StepRecord
+    from sdfgcn.envs.records import EpisodeStart, StepRecord
 
 
 class Recorder(Protocol):

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from sdfgcn.config import ArenaConfig
-from sdfgcn.envs.types import Scene
+from sdfgcn.envs.records import Snapshot
 from sdfgcn.geometry.camera import CameraModel
 from sdfgcn.objects.model import ObjectModel
-from sdfgcn.sim.types import PushStatus
-from sdfgcn.viz.geometry import edge_strips, vertex_normals
+from sdfgcn.viz.shapes import edge_strips, vertex_normals
+from sdfgcn.world import PushStatus
 
 TIMELINE = "push"
 
@@ -82,7 +82,7 @@ def arrow_2d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows2D:
     )
 
 
-def edges_2d(scene: Scene, goal: Scene) -> rr.LineStrips2D:
+def edges_2d(scene: Snapshot, goal: Snapshot) -> rr.LineStrips2D:
     """The scene graph's edges in the current picture: among its objects, and to their goals."""
     strips, to_goal = edge_strips(scene, goal)
     colors = np.where(to_goal[:, None], MATCH_COLOR, EDGE_COLOR)

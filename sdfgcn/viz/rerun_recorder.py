@@ -14,9 +14,12 @@ after it. Entities, where i is an object's slot:
     reward/total, reward/terms/*       the reward of each push
     outcome/return                     undiscounted sum of the rewards so far
     outcome/success, outcome/out_of_range
-    q_values                           [nodes, 8] Q-values that the push was picked by, if any
+    q_values                           [rows, D] Q-values that the push was picked by, if any
     q_values/table                     the same in words: objects, directions, legal ones, the push
     log, summary                       what happened, in words
+
+Without true poses (a world without truth) there are no meshes: names and colours go by row, and
+distances are those between the centres that were seen.
 
 Only this file and `rerun_drawing` import rerun.
 """
@@ -30,10 +33,9 @@ import rerun as rr
 from numpy.typing import NDArray
 
 from sdfgcn.config import EnvConfig
-from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
+from sdfgcn.envs.records import EpisodeStart, Snapshot, StepRecord
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.viz import Recorder
-from sdfgcn.viz.geometry import node_slots, zero_contour
 from sdfgcn.viz.rerun_drawing import (
     GOAL_ALPHA,
     MASK_OPACITY,
@@ -54,7 +56,8 @@ from sdfgcn.viz.rerun_drawing import (
     table,
     transform,
 )
-from sdfgcn.viz.words import node_name, outcome, push_sentence, q_table, slot_name, summary
+from sdfgcn.viz.shapes import row_slots, zero_contour
+from sdfgcn.viz.words import outcome, push_sentence, q_table, row_name, slot_name, summary
 
 # One batch per entity instead of one per push: far less overhead per row.
 _BATCHES = rr.ChunkBatcherConfig(flush_tick=3600.0, flush_num_bytes=4 * 2**20)
@@ -88,8 +91,9 @@ class RerunRecorder(Recorder):
                 environment variable RERUN switches recording off.
         """
         self._episode = episode
+        self._objects = () if episode.truth is None else episode.truth.objects
         self._radii = np.array(
-            [np.linalg.norm(model.vertices, axis=1).max() for model in episode.objects]
+            [np.linalg.norm(model.vertices, axis=1).max() for model in self._objects]
         )
         self._drawn_sdfs: dict[int, NDArray[np.float32]] = {}
         self._return = 0.0
@@ -103,7 +107,7 @@ class RerunRecorder(Recorder):
         self._log_sdf_names()
         self._log_series_styles()
         self._at(0)
-        self._log_scene(episode.scene)
+        self._log_scene(episode.start)
         self._log("log", rr.TextLog(f"Start of the episode with seed {episode.seed}."))
 
     def step(self, step: StepRecord) -> None:
@@ -112,7 +116,7 @@ class RerunRecorder(Recorder):
             self._send_blueprint(with_q_values=step.q_values is not None)
         self._at(step.index)
         self._log_push(step)
-        self._log_scene(step.scene)
+        self._log_scene(step.after)
         self._log_figures(step)
         self._last = step
 
@@ -132,7 +136,7 @@ class RerunRecorder(Recorder):
         stream = rr.RecordingStream(
             # The viewer shares one layout among recordings of one application id, and the
             # layout depends on the number of objects alone.
-            f"sdfgcn {len(self._episode.objects)} objects",
+            f"sdfgcn {self._episode.n_objects} objects",
             batcher_config=_BATCHES,
         )
         if not rr.is_enabled(recording=stream):
@@ -163,14 +167,14 @@ class RerunRecorder(Recorder):
         return slot_name(self._episode, slot)
 
     def _log_classes(self) -> None:
-        slots = range(len(self._episode.objects))
+        slots = range(self._episode.n_objects)
         classes = [(slot + 1, self._name(slot), slot_color(slot)) for slot in slots]
         classes.append((self._unmatched, "unmatched", UNMATCHED_COLOR))
         self._log("/", rr.AnnotationContext([(0, "table", (0, 0, 0, 0)), *classes]), static=True)
 
     @property
     def _unmatched(self) -> int:
-        return len(self._episode.objects) + 1
+        return self._episode.n_objects + 1
 
     def _log_table(self) -> None:
         arena = self._env.arena
@@ -187,37 +191,42 @@ class RerunRecorder(Recorder):
         self._log("world/camera", pose, pinhole(camera), static=True)
 
     def _log_objects(self) -> None:
-        for slot, model in enumerate(self._episode.objects):
-            color = np.round(255 * self._episode.colors[slot]).astype(np.uint8)
+        truth = self._episode.truth
+        if truth is None:
+            return
+        for slot, model in enumerate(truth.objects):
+            color = np.round(255 * truth.colors[slot]).astype(np.uint8)
             self._log(f"world/objects/{slot}", skinned_mesh(model, color), static=True)
             ghost = mesh(model, (*slot_color(slot), GOAL_ALPHA))
-            pose = transform(self._episode.goal.poses[slot])
+            pose = transform(truth.goal_poses[slot])
             self._log(f"world/goal/{slot}", ghost, pose, static=True)
 
     def _log_goal(self) -> None:
         goal = self._episode.goal
-        slots = node_slots(goal, self._radii, self._episode.camera)
+        slots = row_slots(goal, self._radii, self._episode.camera)
         self._log_picture("goal", goal, slots, static=True)
         strips, classes = [], []
-        for node, slot in enumerate(slots):
-            contour = zero_contour(goal.sdf[node])
+        for row in np.flatnonzero(goal.scene.node_mask.numpy()):
+            sdf, slot = goal.scene.sdf[row].numpy(), slots[row]
+            contour = zero_contour(sdf)
             strips += contour
             classes += [self._class_id(slot)] * len(contour)
             if slot >= 0:
-                self._log_sdf(f"sdf/goal/{slot}", goal.sdf[node], slot, static=True)
+                self._log_sdf(f"sdf/goal/{slot}", sdf, slot, static=True)
         outlines = rr.LineStrips2D(
             strips, class_ids=classes, radii=0.25, show_labels=False, draw_order=20
         )
         self._log("world/camera/goal", outlines, static=True)
 
-    def _log_scene(self, scene: Scene) -> None:
+    def _log_scene(self, moment: Snapshot) -> None:
         """The picture, the masks, the poses, and the SDFs that changed."""
-        slots = node_slots(scene, self._radii, self._episode.camera)
-        self._log_picture("world/camera", scene, slots)
-        self._log("world/camera/graph", edges_2d(scene, self._episode.goal))
-        for slot, pose in enumerate(scene.poses):
+        slots = row_slots(moment, self._radii, self._episode.camera)
+        self._log_picture("world/camera", moment, slots)
+        self._log("world/camera/graph", edges_2d(moment, self._episode.goal))
+        for slot, pose in enumerate(moment.poses if moment.poses is not None else ()):
             self._log(f"world/objects/{slot}", transform(pose))
-        seen = {int(slot): scene.sdf[node].copy() for node, slot in enumerate(slots) if slot >= 0}
+        sdf = moment.scene.sdf.numpy()
+        seen = {int(slot): sdf[row].copy() for row, slot in enumerate(slots) if slot >= 0}
         for slot, sdf in seen.items():
             if not np.array_equal(sdf, self._drawn_sdfs.get(slot, np.empty(0))):
                 self._log_sdf(f"sdf/scene/{slot}", sdf, slot)
@@ -225,21 +234,23 @@ class RerunRecorder(Recorder):
             self._log(f"sdf/scene/{slot}", rr.Clear(recursive=True))
         self._drawn_sdfs = seen
         self._slots = slots
+        self._last_row = max(np.flatnonzero(moment.scene.node_mask.numpy()), default=-1)
 
     def _log_picture(
-        self, path: str, scene: Scene, slots: NDArray[np.intp], static: bool = False
+        self, path: str, moment: Snapshot, slots: NDArray[np.intp], static: bool = False
     ) -> None:
-        if scene.pixels is None:
+        if moment.pixels is None:
             raise SdfgcnError(
-                "The scene has no picture to record (Scene.pixels is None); set env.record to "
+                "The scene has no picture to record (Snapshot.pixels is None); set env.record to "
                 "True before the episode is reset."
             )
-        labels = np.zeros(scene.pixels.shape[:2], dtype=np.uint8)
-        for mask, slot in zip(scene.masks, slots, strict=True):
-            labels[mask] = self._class_id(slot)
-        self._log(f"{path}/picture", png(scene.pixels), static=static)
-        masks = rr.SegmentationImage(labels, opacity=MASK_OPACITY, draw_order=10)
-        self._log(f"{path}/masks", masks, static=static)
+        labels = np.zeros(moment.pixels.shape[:2], dtype=np.uint8)
+        masks = moment.scene.masks.numpy()
+        for row in np.flatnonzero(moment.scene.node_mask.numpy()):
+            labels[masks[row]] = self._class_id(slots[row])
+        self._log(f"{path}/picture", png(moment.pixels), static=static)
+        image = rr.SegmentationImage(labels, opacity=MASK_OPACITY, draw_order=10)
+        self._log(f"{path}/masks", image, static=static)
 
     def _class_id(self, slot: int) -> int:
         return int(slot) + 1 if slot >= 0 else self._unmatched
@@ -256,37 +267,42 @@ class RerunRecorder(Recorder):
     def _log_sdf_names(self) -> None:
         """Names at the lower edge, clear of most objects."""
         edge = [0.5 * self._episode.camera.size, 0.84 * self._episode.camera.size]
-        for slot in range(len(self._episode.objects)):
+        for slot in range(self._episode.n_objects):
             name = rr.Points2D([edge], labels=self._name(slot), colors=slot_color(slot), radii=0)
             for which in ("scene", "goal"):
                 self._log(f"sdf/{which}/{slot}/name", name, static=True)
 
     def _log_push(self, step: StepRecord) -> None:
-        push = step.push
-        start, end = self._episode.camera.project(np.stack([push.start, push.end]))
-        self._log("world/camera/push", arrow_2d(start, end, push.status))
-        self._log("world/push", arrow_3d(push.start, push.end, push.status))
-        level = rr.TextLogLevel.INFO if push.status == "done" else rr.TextLogLevel.WARN
-        # Nodes of the scene before the push: that is what it was picked by.
-        names = [node_name(self._episode, i, int(slot)) for i, slot in enumerate(self._slots)]
-        name = names[push.object] if push.object < len(names) else f"node {push.object}"
-        text = push_sentence(name, step)
-        self._log("log", rr.TextLog(text, level=level, color=STATUS_COLORS[push.status]))
+        result = step.push.result
+        start, end = self._episode.camera.project(np.stack([result.start, result.end]))
+        self._log("world/camera/push", arrow_2d(start, end, result.status))
+        self._log("world/push", arrow_3d(result.start, result.end, result.status))
+        level = rr.TextLogLevel.INFO if result.status == "done" else rr.TextLogLevel.WARN
+        # Rows of the scene before the push: that is what it was picked by.
+        names = [
+            row_name(self._episode, row, int(slot))
+            for row, slot in enumerate(self._slots)
+            if row <= self._last_row
+        ]
+        row = step.push.row
+        text = push_sentence(names[row] if row < len(names) else f"row {row}", step)
+        self._log("log", rr.TextLog(text, level=level, color=STATUS_COLORS[result.status]))
         if step.q_values is not None:
             self._log_q_values(step, names)
 
     def _log_q_values(self, step: StepRecord, names: list[str]) -> None:
         # Rows beyond the detected objects are padding.
         q_values = np.asarray(step.q_values, dtype=np.float32)[: len(names)]
-        self._log("q_values", rr.Tensor(q_values, dim_names=("node", "direction")))
-        if step.push.object < len(names):
+        self._log("q_values", rr.Tensor(q_values, dim_names=("row", "direction")))
+        if step.push.row < len(names):
             words = rr.TextDocument(q_table(names, step), media_type=rr.MediaType.MARKDOWN)
             self._log("q_values/table", words)
 
     def _log_figures(self, step: StepRecord) -> None:
         self._return += step.reward
         for slot, distance in enumerate(step.distances):
-            self._log(f"distance/{slot}", rr.Scalars(float(distance)))
+            if np.isfinite(distance):
+                self._log(f"distance/{slot}", rr.Scalars(float(distance)))
         self._log("distance/threshold", rr.Scalars(self._env.success_threshold))
         self._log("reward/total", rr.Scalars(step.reward))
         for term, value in step.reward_terms.items():
@@ -296,7 +312,7 @@ class RerunRecorder(Recorder):
         self._log("outcome/out_of_range", rr.Scalars(float(step.out_of_range)))
 
     def _log_series_styles(self) -> None:
-        for slot in range(len(self._episode.objects)):
+        for slot in range(self._episode.n_objects):
             style = rr.SeriesLines(names=self._name(slot), colors=slot_color(slot))
             self._log(f"distance/{slot}", style, static=True)
         threshold = rr.SeriesLines(names="threshold of success", colors=(128, 128, 128))
@@ -313,7 +329,7 @@ class RerunRecorder(Recorder):
         assert self._stream is not None
         properties = rr.AnyValues(
             seed=episode.seed,
-            objects=[model.name for model in episode.objects],
+            objects=[model.name for model in self._objects],
             outcome=ended,
             pushes=pushes,
             undiscounted_return=self._return,
@@ -322,5 +338,5 @@ class RerunRecorder(Recorder):
 
     def _send_blueprint(self, with_q_values: bool) -> None:
         assert self._stream is not None, "start() comes first"
-        layout = blueprint(self._env.arena, len(self._episode.objects), with_q_values)
+        layout = blueprint(self._env.arena, self._episode.n_objects, with_q_values)
         self._stream.send_blueprint(layout)

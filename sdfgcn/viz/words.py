@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import numpy as np
 
-from sdfgcn.config import N_DIRECTIONS
-from sdfgcn.envs.types import EpisodeStart, StepRecord
+from sdfgcn.envs.records import EpisodeStart, StepRecord
 
-_ARROWS = "→↗↑↖←↙↓↘"  # of the directions, as they head in the picture
+_ARROWS = "→↗↑↖←↙↓↘"  # every eighth of a turn, as they head in the picture
 
 
 def slot_name(episode: EpisodeStart, slot: int) -> str:
     """Name of the object in a slot."""
-    return f"#{slot} {episode.objects[slot].name}"
+    name = "" if episode.truth is None else f" {episode.truth.objects[slot].name}"
+    return f"#{slot}{name}"
 
 
-def node_name(episode: EpisodeStart, node: int, slot: int) -> str:
-    """Name of what a node shows; slot -1 is none of the objects."""
-    return slot_name(episode, slot) if slot >= 0 else f"node {node}"
+def row_name(episode: EpisodeStart, row: int, slot: int) -> str:
+    """Name of what a row shows; slot -1 is none of the objects."""
+    return slot_name(episode, slot) if slot >= 0 else f"row {row}"
 
 
 def push_sentence(name: str, step: StepRecord) -> str:
     """The log's line on a push of the object called `name`."""
-    status = step.push.status.replace("_", " ")
+    status = step.push.result.status.replace("_", " ")
     return f"{_push(name, step)}: {status}, reward {step.reward:+.3f}."
 
 
@@ -41,16 +41,18 @@ def outcome(last: StepRecord | None) -> str:
 
 def summary(episode: EpisodeStart, last: StepRecord | None, total_reward: float) -> str:
     """The whole episode, as Markdown."""
+    how = "as they truly lie" if episode.truth else "between the centres that were seen"
     lines = [
         f"# Seed {episode.seed}: {outcome(last)}",
-        f"{last.index if last else 0} pushes, return {total_reward:.3f}",
+        f"{last.index if last else 0} pushes, return {total_reward:.3f}. Errors: {how}.",
         "",
         "| object | category | error (mm) |",
         "| --- | --- | ---: |",
     ]
-    for slot, model in enumerate(episode.objects):
+    for slot in range(episode.n_objects):
+        category = episode.truth.objects[slot].category if episode.truth else ""
         error = f"{1000 * last.distances[slot]:.0f}" if last else ""
-        lines.append(f"| {slot_name(episode, slot)} | {model.category} | {error} |")
+        lines.append(f"| {slot_name(episode, slot)} | {category} | {error} |")
     return "\n".join(lines)
 
 
@@ -58,34 +60,38 @@ def q_table(names: list[str], step: StepRecord) -> str:
     """The Q-values that a push was picked by, as Markdown.
 
     Args:
-        names: What each node of the scene before the push is called.
+        names: What each row of the scene before the push is called.
         step: The push, with `q_values`; they are of the scene before it.
 
     Returns:
         A table of objects and directions: the pushed one in bold, what was not legal in brackets.
     """
     assert step.q_values is not None, "there is nothing to tell"
-    values = step.q_values[: len(names)]
-    legal = np.ones_like(values, dtype=bool) if step.legal is None else step.legal[: len(names)]
-    pushed = (step.push.object, step.push.direction)
-    heads = [f"{arrow} {turn}°" for turn, arrow in zip(range(0, 360, 45), _ARROWS, strict=True)]
+    values, legal = step.q_values[: len(names)], step.legal[: len(names)]
+    n_directions = values.shape[1]
+    pushed = (step.push.row, step.push.direction)
+    heads = [_head(360.0 * k / n_directions) for k in range(n_directions)]
     lines = [
         f"{_push(names[pushed[0]], step)}: {_rank(float(values[pushed]), values[legal])}.",
         "",
         f"| object | {' | '.join(heads)} |",
-        f"| --- |{' ---: |' * N_DIRECTIONS}",
+        f"| --- |{' ---: |' * n_directions}",
     ]
-    for node, name in enumerate(names):
-        cells = [f"{value:.2f}" for value in values[node]]
-        cells = [cell if legal[node, k] else f"({cell})" for k, cell in enumerate(cells)]
-        if node == pushed[0]:
+    for row, name in enumerate(names):
+        cells = [f"{value:.2f}" for value in values[row]]
+        cells = [cell if legal[row, k] else f"({cell})" for k, cell in enumerate(cells)]
+        if row == pushed[0]:
             cells[pushed[1]] = f"**{cells[pushed[1]]}**"
         lines.append(f"| {name} | {' | '.join(cells)} |")
     return "\n".join([*lines, "", "Bold: the push. In brackets: not legal."])
 
 
+def _head(degrees: float) -> str:
+    return f"{_ARROWS[round(degrees / 45.0) % 8]} {degrees:g}°"
+
+
 def _push(name: str, step: StepRecord) -> str:
-    return f"{name} towards {step.push.direction * 360 // N_DIRECTIONS} degrees"
+    return f"{name} towards {np.degrees(step.push.angle):g} degrees"
 
 
 def _rank(value: float, legal: np.ndarray) -> str:

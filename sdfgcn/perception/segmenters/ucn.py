@@ -88,7 +88,7 @@ def load_network(config: UCNConfig) -> UCN:
         raise SdfgcnError(
             f"The segmentation weights {path} cannot be read ({str(error).splitlines()[0]}); set "
             "env.perception.segmentation.weights to a file that "
-            "`python -m sdfgcn.perception.train_ucn` wrote, or to null for the shipped ones."
+            "`python -m sdfgcn.segmentation.train` wrote, or to null for the shipped ones."
         ) from error
     if sizes != network_sizes(config):
         raise SdfgcnError(
@@ -101,7 +101,7 @@ def load_network(config: UCNConfig) -> UCN:
     except RuntimeError as error:
         raise SdfgcnError(
             f"The segmentation weights {path} lack layers or have others than this network; train "
-            "them anew with `python -m sdfgcn.perception.train_ucn`."
+            "them anew with `python -m sdfgcn.segmentation.train`."
         ) from error
     return network.eval()
 

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from dm_control import composer, mjcf
+from dm_control import mjcf
 from numpy.typing import NDArray
 
 from sdfgcn.config import EnvConfig
 from sdfgcn.objects.model import ObjectModel
-from sdfgcn.perception.metrics import MaskScores, score_masks
-from sdfgcn.perception.oracle import oracle_masks
-from sdfgcn.perception.perception import detected
-from sdfgcn.sim.episode import draw_episode
-from sdfgcn.sim.renderer import Renderer
-from sdfgcn.sim.task import RearrangementTask
+from sdfgcn.perception.base import detected
+from sdfgcn.segmentation.metrics import MaskScores, score_masks
+from sdfgcn.sim.world import MujocoWorld
 
 
 @dataclass(frozen=True)
-class SceneView:
+class Example:
     """The start of an episode as the camera sees it.
 
     Attributes:
@@ -47,7 +44,7 @@ def views(
     n_objects: Sequence[int],
     scenes: int,
     relight: Relight | None = None,
-) -> Iterator[SceneView]:
+) -> Iterator[Example]:
     """Picture the start of episodes 0 to `scenes` - 1 of each number of objects.
 
     Args:
@@ -58,19 +55,16 @@ def views(
         relight: Changes the look of the compiled model before each picture, given the physics and
             a generator seeded by the episode.
     """
-    task = RearrangementTask(env, catalogue)
-    with closing(composer.Environment(task)) as environment:
-        physics = environment.physics
-        renderer = Renderer(physics, env.arena.image_size)
+    with closing(MujocoWorld(env, catalogue)) as world:
         for n in n_objects:
             for seed in range(scenes):
-                task.begin(draw_episode(seed, catalogue, replace(env, n_objects=n)))
-                task.initialize_episode(physics, np.random.RandomState(seed))
+                world.reset(seed, n)
                 if relight is not None:
-                    relight(physics, np.random.default_rng([seed, n]))
-                masks = oracle_masks(renderer.geom_ids(), task.slot_of_geom, n)
+                    relight(world.physics, np.random.default_rng([seed, n]))
+                view = world.look()
+                masks = view.true_masks()
                 seen = detected(masks, env.perception.min_pixels)
-                yield SceneView(seed, renderer.pixels(), masks[seen], n)
+                yield Example(seed, view.pixels(), masks[seen], n)
 
 
 def shifted_look(physics: mjcf.Physics, rng: np.random.Generator) -> None:
@@ -93,8 +87,8 @@ def shifted_look(physics: mjcf.Physics, rng: np.random.Generator) -> None:
 
 
 def score(
-    segment: Callable[[NDArray[np.uint8]], NDArray[np.bool_]], scenes: Iterable[SceneView]
-) -> list[tuple[SceneView, NDArray[np.bool_], MaskScores]]:
+    segment: Callable[[NDArray[np.uint8]], NDArray[np.bool_]], scenes: Iterable[Example]
+) -> list[tuple[Example, NDArray[np.bool_], MaskScores]]:
     """Segment every scene; returns each with the masks found and their scores."""
     rows = []
     for scene in scenes:

@@ -16,17 +16,19 @@ from numpy.typing import NDArray
 from PIL import Image
 from scipy.spatial.transform import Rotation
 
-from sdfgcn.config import ArenaConfig, ScenesConfig
+from sdfgcn.config import ArenaConfig, ArrangementsConfig
 from sdfgcn.sim.arena import CAMERA
 
 
 class Appearance:
     """Changes the look of a compiled world, and back to the environment's own."""
 
-    def __init__(self, physics: mjcf.Physics, arena: ArenaConfig, scenes: ScenesConfig) -> None:
+    def __init__(
+        self, physics: mjcf.Physics, arena: ArenaConfig, arrangements: ArrangementsConfig
+    ) -> None:
         """Remember the environment's own look."""
         self._model, self._data = physics.model.ptr, physics.data.ptr
-        self._arena, self._scenes = arena, scenes
+        self._arena, self._arrangements = arena, arrangements
         self._camera = self._model.camera(CAMERA).id
         self._lamp = self._model.light("lamp").id
         self._table = self._model.geom("table").id
@@ -58,14 +60,17 @@ class Appearance:
             geoms: [n] the visual geoms of the props on the table.
         """
         self.reset()
-        model, scenes = self._model, self._scenes
-        place = [_within(rng, axis) for axis in (scenes.lamp_x, scenes.lamp_y, scenes.lamp_z)]
+        model, arrangements = self._model, self._arrangements
+        place = [
+            _within(rng, axis)
+            for axis in (arrangements.lamp_x, arrangements.lamp_y, arrangements.lamp_z)
+        ]
         aim = np.array([*rng.uniform(-0.2, 0.2, 2), 0.0]) - place
         model.light_pos[self._lamp] = place
         model.light_dir[self._lamp] = aim / np.linalg.norm(aim)
-        model.light_diffuse[self._lamp] = _within(rng, scenes.lamp_diffuse) * _tint(rng)
-        model.vis.headlight.ambient[:] = _within(rng, scenes.ambient) * _tint(rng)
-        model.vis.headlight.diffuse[:] = _within(rng, scenes.headlight_diffuse) * _tint(rng)
+        model.light_diffuse[self._lamp] = _within(rng, arrangements.lamp_diffuse) * _tint(rng)
+        model.vis.headlight.ambient[:] = _within(rng, arrangements.ambient) * _tint(rng)
+        model.vis.headlight.diffuse[:] = _within(rng, arrangements.headlight_diffuse) * _tint(rng)
         self._draw_camera(rng)
         table = random_colour(rng)
         if rng.random() < 0.3:
@@ -77,12 +82,14 @@ class Appearance:
         mujoco.mj_camlight(model, self._data)
 
     def _draw_camera(self, rng: np.random.Generator) -> None:
-        model, scenes = self._model, self._scenes
-        turn = Rotation.from_euler("xyz", rng.normal(0.0, scenes.camera_turn, 3), degrees=True)
+        model, arrangements = self._model, self._arrangements
+        turn = Rotation.from_euler(
+            "xyz", rng.normal(0.0, arrangements.camera_turn, 3), degrees=True
+        )
         quat = Rotation.from_quat(model.cam_quat[self._camera], scalar_first=True) * turn
         model.cam_quat[self._camera] = quat.as_quat(scalar_first=True)
-        model.cam_pos[self._camera] += rng.normal(0.0, scenes.camera_shift, 3)
-        model.cam_fovy[self._camera] = _within(rng, scenes.fovy)
+        model.cam_pos[self._camera] += rng.normal(0.0, arrangements.camera_shift, 3)
+        model.cam_fovy[self._camera] = _within(rng, arrangements.fovy)
 
     def _colour_prop(
         self,

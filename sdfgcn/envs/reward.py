@@ -22,19 +22,19 @@ def reward_terms(
 
     Args:
         config: Weights.
-        before: [k] distances of the matched pairs before the push, metres.
-        after: [k] distances after it.
+        before: [k] distances to the goal before the push, metres; NaN where one is not known.
+        after: [k] distances after it, of the same objects or rows.
         success: Every object lies at its goal.
         out_of_range: An object left the allowed region.
         vanished: How many objects this push made vanish from the detections.
         none_left: No object is detected any more.
 
     Returns:
-        `progress`: weight * sum of (before - after). `step`: cost of a push. `floor`: what lifts
+        `progress`: weight * sum of (before - after), where both are known. `step`: cost of a push. `floor`: what lifts
         progress and step to the lower bound. `success`, `out_of_range`, `vanished`,
         `none_left`: once, when it happens.
     """
-    progress = config.progress * float(np.sum(before - after))
+    progress = config.progress * float(np.nansum(before - after))
     return {
         "progress": progress,
         "step": config.step,

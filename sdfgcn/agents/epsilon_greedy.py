@@ -1,16 +1,37 @@
-"""The agent of a trained Q-network: mostly greedy (paper section III A)."""
+"""What turns any agent's preferences into pushes: mostly greedy (paper section III A)."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+
+# Called with one environment's observation (no batch dimension); returns float32 [N * D], how much
+# it prefers each push, in the order of `PushSpace`'s actions. Only the order of the legal ones
+# counts.
+Agent = Callable[[TensorDictBase], Tensor]
 
 
 class QAgent:
-    """Takes the legal push of the highest value, or now and then a random one.
+    """Prefers the pushes that a Q-network values most."""
+
+    def __init__(self, network: TensorDictModuleBase) -> None:
+        """Take a network that sets `action_value` [N * D] from an observation."""
+        self._network = network
+
+    def __call__(self, td: TensorDictBase) -> Tensor:
+        """The action values; see `Agent`."""
+        with torch.no_grad():
+            return self._network(td.copy())["action_value"].float()
+
+
+class EpsilonGreedy:
+    """Takes the legal push that an agent prefers, or now and then a random one.
 
     It can refuse to be caught in a loop: a push that was tried in the same state of the episode
     led back to it, so the next best is taken. When all have been tried, all are allowed again.
@@ -18,53 +39,53 @@ class QAgent:
 
     def __init__(
         self,
-        network: TensorDictModuleBase,
+        agent: Agent,
         rng: np.random.Generator,
         epsilon: float,
         loop_distance: float | None,
     ) -> None:
-        """Make the agent.
+        """Wrap an agent.
 
         Args:
-            network: Sets `action_value` float [N * 8] from an observation.
+            agent: What ranks the pushes.
             rng: Where random pushes are drawn from.
-            epsilon: Their share.
+            epsilon: Their share; nothing is drawn where it is 0.
             loop_distance: Two states count as the same where no object's detected centre is
                 further apart, metres; None: states are not compared.
         """
-        self._network = network
+        self._agent = agent
         self._rng = rng
         self._epsilon = epsilon
         self._loop_distance = loop_distance
         self._tried: list[tuple[NDArray[np.float32], int]] = []  # in this episode
 
     def __call__(self, td: TensorDictBase) -> TensorDictBase:
-        """Set `action` and `action_value`.
+        """Pick a push.
 
         Args:
             td: One environment's observation, without batch dimension.
 
         Returns:
-            The same TensorDict with `action` int64 [], object * 8 + direction, and
-            `action_value` float32 [N * 8].
+            The same TensorDict with `action` int64 [] and, where a Q-network is the agent,
+            `action_value` float32 [N * D].
 
         Raises:
             ValueError: The mask allows no action at all.
         """
-        with torch.no_grad():
-            values = self._network(td.copy())["action_value"].float()
-        td["action_value"] = values
         legal = np.flatnonzero(td["action_mask"].numpy())
         if len(legal) == 0:
             raise ValueError("action_mask allows no action.")
         if int(td["pushes"]) == 0:
             self._tried.clear()
-        centers = td["center"].numpy().copy()
-        if self._rng.random() < self._epsilon:
+        preferences = self._agent(td)
+        if isinstance(self._agent, QAgent):
+            td["action_value"] = preferences
+        centers = td["scene", "center"].numpy().copy()
+        if self._epsilon > 0.0 and self._rng.random() < self._epsilon:
             action = int(self._rng.choice(legal))
         else:
             candidates = self._untried(legal, centers)
-            action = int(candidates[np.argmax(values.numpy()[candidates])])
+            action = int(candidates[np.argmax(preferences.numpy()[candidates])])
         self._tried.append((centers, action))
         td["action"] = torch.tensor(action, dtype=torch.int64)
         return td

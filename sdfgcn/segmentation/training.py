@@ -15,17 +15,17 @@ import torch
 from filelock import FileLock, Timeout
 from tqdm import tqdm
 
-from sdfgcn.config import TrainUCNConfig
+from sdfgcn.config import SegmentationTrainingConfig
 from sdfgcn.config.diff import differences, flat
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import CsvTable, replaced, write_json
 from sdfgcn.objects.catalogue import load_catalogue
-from sdfgcn.perception.augment import augmented
-from sdfgcn.perception.dataset import Pictures, load_pictures
-from sdfgcn.perception.segmentation_scores import SceneView, score, summary, views
-from sdfgcn.perception.segmenters.loss import clustering_loss
 from sdfgcn.perception.segmenters.network import UCN
 from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
+from sdfgcn.segmentation.augment import augmented
+from sdfgcn.segmentation.dataset import Pictures, load_pictures
+from sdfgcn.segmentation.loss import clustering_loss
+from sdfgcn.segmentation.scores import Example, score, summary, views
 
 # Torch's reader lets any of these through when a file is cut short or no checkpoint at all.
 _UNREADABLE = (
@@ -46,7 +46,7 @@ _FREE_KEYS = (
     "torch_threads",
     "checkpoint_steps",
     "validation_scenes",
-    "scenes.workers",
+    "arrangements.workers",
 )
 _SEGMENTATION = "env.perception.segmentation."  # of these only what the network or the loss reads
 _BINDING = tuple(_SEGMENTATION + key for key in ("channels", "widths", "embedding", "min_pixels"))
@@ -54,7 +54,7 @@ COLUMNS = ("step", "seconds", "learning_rate", "loss", "pull", "push")
 SCORES = ("overlap_f", "overlap_precision", "overlap_recall", "boundary_f", "count_right")
 
 
-def train(config: TrainUCNConfig, folder: Path) -> Path:
+def train(config: SegmentationTrainingConfig, folder: Path) -> Path:
     """Train the network, or go on with the training that the folder holds.
 
     Args:
@@ -90,7 +90,7 @@ class Training:
     state of a random generator needs to be kept.
     """
 
-    def __init__(self, config: TrainUCNConfig, folder: Path) -> None:
+    def __init__(self, config: SegmentationTrainingConfig, folder: Path) -> None:
         """Start at step 0 with weights from the seed."""
         self._config, self._folder = config, folder
         with torch.random.fork_rng(devices=[]):
@@ -106,7 +106,7 @@ class Training:
 
     # ------------------------------------------------------------------ the loop
 
-    def run(self, pictures: Pictures, scenes: list[SceneView]) -> None:
+    def run(self, pictures: Pictures, scenes: list[Example]) -> None:
         """Train to the last step, with a checkpoint and a validation every so often."""
         config, clock = self._config, time.monotonic()
         recent: list[tuple[float, float]] = []
@@ -154,7 +154,7 @@ class Training:
         done = (self.step - config.warmup) / max(1, config.steps - config.warmup)
         return config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * done))
 
-    def _row(self, recent: list[tuple[float, float]], scenes: list[SceneView]) -> dict[str, float]:
+    def _row(self, recent: list[tuple[float, float]], scenes: list[Example]) -> dict[str, float]:
         """What `metrics.csv` says about the updates since its last row."""
         segmenter = UCNSegmenter(self._config.env.perception.segmentation, self.network.eval())
         scores = summary([scores for _, _, scores in score(segmenter, scenes)])
@@ -215,7 +215,7 @@ class Training:
         self._metrics.write(self._rows)
 
 
-def validation_views(config: TrainUCNConfig) -> list[SceneView]:
+def validation_views(config: SegmentationTrainingConfig) -> list[Example]:
     """The environment's own start layouts, with training objects of every catalogue."""
     each = max(1, config.validation_scenes // len(config.catalogues))
     return [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -17,8 +17,7 @@ from sdfgcn.config import Config, EnvConfig
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.processes import follow_parent
-from sdfgcn.sim.episode import Episode
-from sdfgcn.train.curriculum import Counts
+from sdfgcn.train.curriculum import ObjectCountSampler
 
 IDLE_SECONDS = 0.2  # between two looks at whether the learner may do an update
 
@@ -27,18 +26,22 @@ class TrainingEnv(RearrangementEnv):
     """The env with a number of objects drawn anew at every reset."""
 
     def __init__(
-        self, config: EnvConfig, counts: Counts, seed: int, state: Mapping[str, Any] | None = None
+        self,
+        config: EnvConfig,
+        counts: ObjectCountSampler,
+        seed: int,
+        state: dict[str, Any] | None = None,
     ) -> None:
         """Build the env.
 
         Args:
-            config: The env's config.
+            config: The training env's config.
             counts: Draws the number of objects.
             seed: Seed of the episodes' seeds.
-            state: What `packed_state` returned: the first reset goes on from there.
+            state: What `save_state` returned: the first reset goes on from there.
         """
         self._counts = counts
-        self._state = None if state is None else _unpacked_state(state)
+        self._state = state
         super().__init__(config, seed)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
@@ -48,26 +51,9 @@ class TrainingEnv(RearrangementEnv):
         self.n_objects = self._counts.draw(self._rng)
         return super()._reset(tensordict, **kwargs)
 
-    def packed_state(self) -> dict[str, Any]:
-        """All that later pushes depend on, as JSON knows it."""
-        state = self.save_state()
-        episode = {
-            key: value.tolist() if isinstance(value, np.ndarray) else value
-            for key, value in asdict(state["episode"]).items()
-        }
-        return {**state, "episode": episode, "poses": state["poses"].tolist()}
 
-
-def _unpacked_state(state: Mapping[str, Any]) -> dict[str, Any]:
-    episode: dict[str, Any] = {
-        key: np.array(value) if isinstance(value, list) else value
-        for key, value in state["episode"].items()
-    }
-    return {**state, "episode": Episode(**episode), "poses": np.array(state["poses"])}
-
-
-class Actors(Protocol):
-    """What the learner needs of those who push."""
+class PushCollector(Protocol):
+    """What a training needs of whoever pushes."""
 
     def collect(self, meanwhile: Callable[[], bool]) -> TensorDictBase:
         """The next pushes.
@@ -80,51 +66,51 @@ class Actors(Protocol):
             [T] transitions.
 
         Raises:
-            SdfgcnError: An actor's process died.
+            SdfgcnError: A process that pushes died.
         """
 
-    def publish(self) -> None:
-        """Let the actors push with the policy's weights of now."""
+    def update_policy_weights(self) -> None:
+        """Push with the policy's weights of now."""
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps of them, as JSON knows it."""
+        """What a checkpoint keeps, as JSON knows it."""
 
     def close(self) -> None:
-        """End them."""
+        """Free the envs."""
 
 
 @dataclass(frozen=True)
-class ActorsPlan:
-    """What actors are made of.
+class CollectorSpec:
+    """What a collector is made of.
 
     Attributes:
         config: The whole experiment.
-        env: The training env's part of it.
+        env: The training env's config.
         counts: Draws the number of objects.
         policy: Sets `action`; on the CPU.
-        pushes: Pushes so far; actors of a later start draw other episodes.
-        state: What `Actors.state` returned.
+        pushes: Pushes so far; a training that goes on draws other episodes.
+        state: What `PushCollector.state` returned.
     """
 
     config: Config
     env: EnvConfig
-    counts: Counts
+    counts: ObjectCountSampler
     policy: TensorDictModuleBase
     pushes: int
     state: Mapping[str, Any]
 
 
-class SyncActors:
-    """One env in this process."""
+class SyncCollector:
+    """One env in this process: pushes and updates take turns."""
 
-    def __init__(self, plan: ActorsPlan) -> None:
+    def __init__(self, spec: CollectorSpec) -> None:
         """Build the env."""
-        seed = _seed(plan.config.seed, 0, 0)
-        self._env = TrainingEnv(plan.env, plan.counts, seed, plan.state.get("env"))
+        seed = _seed(spec.config.seed, 0, 0)
+        self._env = TrainingEnv(spec.env, spec.counts, seed, spec.state.get("env"))
         self._collector = Collector(
             self._env,
-            plan.policy,
-            frames_per_batch=plan.config.collector.pushes_per_batch,
+            spec.policy,
+            frames_per_batch=spec.config.collector.pushes_per_batch,
             total_frames=-1,
             auto_register_policy_transforms=False,  # it would add one for recurrent policies
         )
@@ -134,32 +120,32 @@ class SyncActors:
         """Push; there is no meanwhile."""
         return next(self._batches)
 
-    def publish(self) -> None:
-        """Do nothing: the collector pushes with the policy itself."""
+    def update_policy_weights(self) -> None:
+        """Do nothing: it pushes with the policy itself."""
 
     def state(self) -> dict[str, Any]:
         """The env's state."""
-        return {"env": self._env.packed_state()}
+        return {"env": self._env.save_state()}
 
     def close(self) -> None:
         """Free the env."""
         self._collector.shutdown()
 
 
-class AsyncActors:
+class AsyncCollector:
     """Envs in processes of their own, which push while this one learns."""
 
-    def __init__(self, plan: ActorsPlan) -> None:
+    def __init__(self, spec: CollectorSpec) -> None:
         """Start the processes."""
-        config = plan.config
-        workers = config.collector.workers
-        seeds = [_seed(config.seed, worker, plan.pushes) for worker in range(workers)]
+        config = spec.config
+        workers = max(config.collector.workers, 1)
+        seeds = [_seed(config.seed, worker, spec.pushes) for worker in range(workers)]
         self._collector = MultiAsyncCollector(
             [_env_in_worker] * workers,
-            plan.policy,
+            spec.policy,
             # Not bound to the function: TorchRL would copy what of `counts` is shared.
             create_env_kwargs=[
-                {"config": plan.env, "counts": plan.counts, "seed": seed} for seed in seeds
+                {"config": spec.env, "counts": spec.counts, "seed": seed} for seed in seeds
             ],
             frames_per_batch=config.collector.pushes_per_batch,
             total_frames=-1,
@@ -172,7 +158,7 @@ class AsyncActors:
         self._waiter = ThreadPoolExecutor(1)
 
     def collect(self, meanwhile: Callable[[], bool]) -> TensorDictBase:
-        """Wait for the next pushes of any actor, working meanwhile."""
+        """Wait for the next pushes of any process, working meanwhile."""
         batch = self._waiter.submit(next, self._batches)
         while not batch.done():
             if not meanwhile():
@@ -181,16 +167,16 @@ class AsyncActors:
             return batch.result().clone()
         except RuntimeError as error:
             raise SdfgcnError(
-                f"An actor's process died ({str(error).partition(chr(10))[0]}); the same "
+                f"A process that pushes died ({str(error).partition(chr(10))[0]}); the same "
                 "hydra.run.dir goes on from the last checkpoint."
             ) from error
 
-    def publish(self) -> None:
+    def update_policy_weights(self) -> None:
         """Send the policy's weights."""
         self._collector.update_policy_weights_()
 
     def state(self) -> dict[str, Any]:
-        """Nothing: the actors begin new episodes."""
+        """Nothing: a training that goes on begins new episodes."""
         return {}
 
     def close(self) -> None:
@@ -199,27 +185,16 @@ class AsyncActors:
         self._collector.shutdown()
 
 
-def build_actors(plan: ActorsPlan) -> Actors:
-    """Start those who push."""
-    return (SyncActors if plan.config.collector.name == "sync" else AsyncActors)(plan)
+def build_collector(spec: CollectorSpec) -> PushCollector:
+    """Build the collector that the config names."""
+    return (SyncCollector if spec.config.collector.name == "sync" else AsyncCollector)(spec)
 
 
-def training_env(config: Config, counts: Counts, max_objects: int) -> EnvConfig:
-    """The env's config as it is trained in.
-
-    Args:
-        config: The whole experiment.
-        counts: The numbers of objects.
-        max_objects: Slots that observations are padded to.
-    """
-    return replace(config.train.env, n_objects=max(counts.counts), max_objects=max_objects)
-
-
-def _env_in_worker(config: EnvConfig, counts: Counts, seed: int) -> TrainingEnv:
+def _env_in_worker(config: EnvConfig, counts: ObjectCountSampler, seed: int) -> TrainingEnv:
     torch.manual_seed(seed)  # the policy's random pushes
     return TrainingEnv(config, counts, seed)
 
 
 def _seed(seed: int, worker: int, pushes: int) -> int:
-    """An actor's seed, other than those of evaluation episodes."""
+    """The seed of a collector's env, other than those of evaluation episodes."""
     return int(np.random.SeedSequence(seed, spawn_key=(1, worker, pushes)).generate_state(1)[0])

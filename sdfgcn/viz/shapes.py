@@ -1,16 +1,16 @@
-"""Geometry that drawing needs: outlines, normals, and which mask shows which object."""
+"""Shapes that drawing needs: outlines, normals, edges, and which row shows which object."""
 
 from __future__ import annotations
 
+import itertools
+
 import contourpy
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from sdfgcn.envs.types import Scene
+from sdfgcn.envs.records import Snapshot
 from sdfgcn.geometry.camera import CameraModel
-from sdfgcn.graph import adjacency_matrix
 
 _FAR = 1e6  # a cost that loses against any real one
 
@@ -53,51 +53,54 @@ def vertex_normals(
     return np.divide(sums, lengths, out=sums, where=lengths > 0.0).astype(np.float32)
 
 
-def node_slots(scene: Scene, radii: NDArray[np.float64], camera: CameraModel) -> NDArray[np.intp]:
-    """Which object each node shows, by the true poses; for drawing only.
+def row_slots(
+    moment: Snapshot, radii: NDArray[np.float64], camera: CameraModel
+) -> NDArray[np.intp]:
+    """Which object each row shows, by the true poses; for drawing only.
 
-    Nodes come in any order and number; a slot stays the same all episode, so colours and names
-    go by slot. A node pairs with the object whose centre projects nearest to the centre of its
-    mask (optimal assignment), unless they are further apart than the object is large.
+    A slot stays the same all episode, so colours and names go by slot. A row pairs with the object
+    whose centre projects nearest to the centre of its mask (optimal assignment), unless they are
+    further apart than the object is large. Without true poses, row i stands for slot i.
 
     Args:
-        scene: The picture's m nodes and n poses.
+        moment: The scene's N rows and n poses.
         radii: [n] largest distance of any vertex from the object's origin, metres.
         camera: The camera that took the picture.
 
     Returns:
-        [m] slot of each node, -1 for a node that shows none of the objects.
+        [N] slot of each row, -1 for a row that shows none of the objects.
     """
-    centres = np.array([_mask_centre(mask) for mask in scene.masks]).reshape(-1, 2)
-    positions = scene.poses[:, :3]
+    rows = np.flatnonzero(moment.scene.node_mask.numpy())
+    slots = np.full(len(moment.scene.node_mask), -1)
+    if moment.poses is None:
+        slots[rows] = rows
+        return slots
+    masks = moment.scene.masks.numpy()
+    centres = np.array([_mask_centre(masks[row]) for row in rows]).reshape(-1, 2)
+    positions = moment.poses[:, :3]
     sizes = camera.focal * radii / np.linalg.norm(positions - camera.position, axis=1)
     gaps = np.linalg.norm(centres[:, None] - camera.project(positions)[None], axis=-1) / sizes
     costs = np.nan_to_num(gaps, nan=_FAR)
-    slots = np.full(len(scene.masks), -1)
     for node, slot in zip(*linear_sum_assignment(costs), strict=True):
         if costs[node, slot] <= 1.0:
-            slots[node] = slot
+            slots[rows[node]] = slot
     return slots
 
 
-def edge_strips(scene: Scene, goal: Scene) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def edge_strips(moment: Snapshot, goal: Snapshot) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """The scene graph's edges at the current nodes, as lines in the picture.
 
-    Args:
-        scene: The current scene's m nodes; without a correspondence nothing is matched.
-        goal: The goal's nodes.
-
     Returns:
-        [E, 2, 2] the ends of each edge: column and row of the centres of the nodes' masks,
-        pixels; and [E] whether the edge leads to the goal's node.
+        [E, 2, 2] the ends of each edge: column and row of the centres of the masks, pixels; and
+        [E] whether the edge leads to the goal's node.
     """
-    m = len(scene.masks)
-    matched = np.full(m, -1) if scene.correspondence is None else scene.correspondence
-    seen, goal_seen = (torch.from_numpy(s.masks.any(axis=(1, 2))) for s in (scene, goal))
-    edges = adjacency_matrix(seen, goal_seen, torch.from_numpy(matched), "complete")
-    ends = np.argwhere(np.triu(edges.numpy())[:m])
-    centres = np.array([_mask_centre(mask) for s in (scene, goal) for mask in s.masks])
-    return centres.reshape(-1, 2)[ends], ends[:, 1] >= m
+    seen, matched = moment.scene.node_mask.numpy(), np.flatnonzero(moment.matched)
+    here, there = moment.scene.masks.numpy(), goal.scene.masks.numpy()
+    pairs = list(itertools.combinations(np.flatnonzero(seen), 2))
+    strips = [(_mask_centre(here[i]), _mask_centre(here[j])) for i, j in pairs]
+    strips += [(_mask_centre(here[i]), _mask_centre(there[i])) for i in matched]
+    to_goal = np.arange(len(strips)) >= len(pairs)
+    return np.array(strips).reshape(-1, 2, 2), to_goal
 
 
 def _mask_centre(mask: NDArray[np.bool_]) -> NDArray[np.float64]:

@@ -10,47 +10,42 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from dm_control import composer
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from shapely import Polygon
 from shapely.affinity import translate
 
-from sdfgcn.config import EnvConfig, ScenesConfig
+from sdfgcn.config import ArrangementsConfig, EnvConfig
 from sdfgcn.geometry.region import Region
 from sdfgcn.objects.model import ObjectModel, Rest
-from sdfgcn.perception.appearance import Appearance, paint
-from sdfgcn.sim.episode import Episode
+from sdfgcn.segmentation.appearance import Appearance, paint
+from sdfgcn.sim.episode import EpisodeSpec
 from sdfgcn.sim.placement import footprint
-from sdfgcn.sim.renderer import Renderer
-from sdfgcn.sim.task import RearrangementTask
+from sdfgcn.sim.world import MujocoWorld
 
 MAX_TRIES = 60  # places tried for an object before it is left out
 SLIDE = 0.002  # m, step in which an object slides up to the one it shall touch
 
 
-class SceneWorld:
+class ArrangementWorld:
     """One catalogue compiled into one world, pictured again and again."""
 
     def __init__(
-        self, env: EnvConfig, catalogue: Sequence[ObjectModel], scenes: ScenesConfig
+        self, env: EnvConfig, catalogue: Sequence[ObjectModel], arrangements: ArrangementsConfig
     ) -> None:
         """Compile the world.
 
         Args:
             env: Arena, robot and physics.
             catalogue: The objects; training objects, for a segmenter.
-            scenes: What to draw.
+            arrangements: What to draw.
         """
-        self._catalogue, self._scenes, self._env = catalogue, scenes, env
-        physics = replace(env.physics, settle_seconds=scenes.settle_seconds)
-        self._task = RearrangementTask(replace(env, physics=physics), catalogue)
-        self._environment = composer.Environment(self._task)
-        self._physics = self._environment.physics
-        self._renderer = Renderer(self._physics, env.arena.image_size)
-        self._appearance = Appearance(self._physics, env.arena, scenes)
-        low, high = Region.spawn(env.arena).low, Region.spawn(env.arena).high
-        self._region = Region(low - scenes.margin, high + scenes.margin)
+        self._arrangements, self._palette = arrangements, env.objects.palette
+        physics = replace(env.physics, settle_seconds=arrangements.settle_seconds)
+        self._world = MujocoWorld(replace(env, physics=physics), catalogue)
+        self._appearance = Appearance(self._world.physics, env.arena, arrangements)
+        spawn = Region.spawn(env.arena)
+        self._region = Region(spawn.low - arrangements.margin, spawn.high + arrangements.margin)
 
     def pictures(
         self, rng: np.random.Generator
@@ -60,37 +55,39 @@ class SceneWorld:
         Yields:
             [H, W, 3] the picture, and [H, W] its labels: 0 for the table, 1 to n for objects.
         """
+        world = self._world
         self._appearance.reset()
-        self._task.begin(self._draw(rng))
-        self._task.initialize_episode(self._physics, np.random.RandomState(0))
-        geoms = np.flatnonzero(self._task.slot_of_geom[:-1] >= 0)
-        for _ in range(self._scenes.appearances):
-            plain = rng.random() < self._scenes.plain
+        world.begin(self._draw(rng))
+        geoms = np.flatnonzero(world.task.slot_of_geom[:-1] >= 0)
+        for _ in range(self._arrangements.appearances):
+            plain = rng.random() < self._arrangements.plain
             if plain:
                 self._appearance.reset()
-                self._appearance.colour_from(rng, geoms, self._env.objects.palette)
+                self._appearance.colour_from(rng, geoms, self._palette)
             else:
                 self._appearance.draw(rng, geoms)
-            labels = (self._task.slot_of_geom[self._renderer.geom_ids()] + 1).astype(np.uint8)
-            pixels = self._renderer.pixels()
-            yield (pixels if plain else paint(rng, pixels, labels, self._scenes.textured)), labels
+            labels = (world.task.slot_of_geom[world.renderer.geom_ids()] + 1).astype(np.uint8)
+            pixels = world.renderer.pixels()
+            if not plain:
+                pixels = paint(rng, pixels, labels, self._arrangements.textured)
+            yield pixels, labels
 
     def close(self) -> None:
         """Free the world."""
-        self._environment.close()
+        self._world.close()
 
-    def _draw(self, rng: np.random.Generator) -> Episode:
+    def _draw(self, rng: np.random.Generator) -> EpisodeSpec:
         """An arrangement as the start of an episode without a goal of its own."""
         kind = rng.random()
-        stacked = kind < self._scenes.stacked
-        touching = kind < self._scenes.stacked + self._scenes.touching
-        fewest, most = self._scenes.n_objects
+        stacked = kind < self._arrangements.stacked
+        touching = kind < self._arrangements.stacked + self._arrangements.touching
+        fewest, most = self._arrangements.n_objects
         n = int(rng.integers(fewest, most + 1))
         shapes: list[Polygon] = []
         poses: list[NDArray[np.float64]] = []
         kept: list[int] = []
-        for index in rng.choice(len(self._catalogue), size=n, replace=False):
-            model = self._catalogue[index]
+        for index in rng.choice(len(self._world.catalogue), size=n, replace=False):
+            model = self._world.catalogue[index]
             rest = _draw_rest(rng, model)
             quat = _turned(rng, rest)
             if stacked and poses and rng.random() < 0.5:
@@ -106,7 +103,7 @@ class SceneWorld:
                 kept.append(index)
         start = np.stack(poses)
         white = np.ones((len(kept), 4))  # each look has colours of its own
-        return Episode(seed=0, objects=np.array(kept), start=start, goal=start, colors=white)
+        return EpisodeSpec(seed=0, objects=np.array(kept), start=start, goal=start, colors=white)
 
     def _above(
         self, rng: np.random.Generator, rest: Rest, poses: Sequence[NDArray[np.float64]]
@@ -114,7 +111,7 @@ class SceneWorld:
         """[7] a pose in the air above one of the others, turned at random."""
         below = poses[int(rng.integers(len(poses)))]
         point = below[:2] + rng.normal(0.0, 0.02, 2)
-        height = below[2] + rest.radius + self._scenes.drop_height
+        height = below[2] + rest.radius + self._arrangements.drop_height
         return np.hstack([point, height, Rotation.random(rng=rng).as_quat(scalar_first=True)])
 
     def _place(

@@ -1,6 +1,6 @@
-"""Train the segmentation network: `python -m sdfgcn.perception.train_ucn KEY=VALUE ...`.
+"""Train the segmentation network: `python -m sdfgcn.segmentation.train KEY=VALUE ...`.
 
-`conf/train_ucn.yaml` has the keys. The folder `out` holds the config, a checkpoint, `metrics.csv`
+`conf/train_segmentation.yaml` has the keys. The folder `out` holds the config, a checkpoint, `metrics.csv`
 and, in the end, `ucn.safetensors`; the same folder goes on with a training that was cut off.
 """
 
@@ -14,14 +14,14 @@ from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
 from sdfgcn.compose import compose_config
-from sdfgcn.config import TrainUCNConfig
+from sdfgcn.config import SegmentationTrainingConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.opengl import check_opengl
-from sdfgcn.perception.ucn_training import train
-from sdfgcn.validation import typed_train_ucn
+from sdfgcn.segmentation.training import train
+from sdfgcn.validation import typed_segmentation_training
 
 
-def load_config(*overrides: str) -> TrainUCNConfig:
+def load_config(*overrides: str) -> SegmentationTrainingConfig:
     """The config of a training, checked.
 
     Args:
@@ -32,7 +32,7 @@ def load_config(*overrides: str) -> TrainUCNConfig:
         HydraException: An override cannot be read, or names a key or an option that is not there.
         OmegaConfBaseException: A value is missing or of the wrong type.
     """
-    return typed_train_ucn(compose_config(overrides, "train_ucn"))
+    return typed_segmentation_training(compose_config(overrides, "train_segmentation"))
 
 
 def main(arguments: list[str]) -> int:

@@ -1,31 +1,22 @@
-"""What a perception is: from a picture to nodes, each an object's mask, matched with the goal's."""
+"""What a perception is: from a picture to rows of masks, each matched with the goal's row."""
 
 from __future__ import annotations
 
 import abc
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sdfgcn.config import PerceptionConfig
-
-
-class View(Protocol):
-    """One moment, as a camera would show it."""
-
-    def pixels(self) -> NDArray[np.uint8]:
-        """[H, W, 3] the RGB picture."""
-
-    def true_masks(self) -> NDArray[np.bool_]:
-        """[n, H, W] one mask per object; all false where one is hidden."""
+from sdfgcn.world import View
 
 
 class Perception(abc.ABC):
     """Sees the goal once an episode, then one picture after the other.
 
-    Rows are nodes. A row keeps its object from picture to picture, as far as that can be seen;
-    its mask is all false while the object is not detected.
+    Each detected object has a row, and keeps it from picture to picture as far as that can be
+    seen. Row i of a picture and row i of the goal show the same object where they are matched. The
+    mask of a row without a detected object is all false.
     """
 
     rows_are_slots = False  # whether row i is by construction the episode's object i
@@ -45,12 +36,11 @@ class Perception(abc.ABC):
         """[n, H, W] the goal's masks; begins an episode."""
 
     @abc.abstractmethod
-    def see(self, view: View) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+    def see(self, view: View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Find the objects and match them with the goal's.
 
         Returns:
-            [m, H, W] masks, and [m] for each the goal's row that it is matched with, none
-            twice; -1 for none.
+            [k, H, W] masks, and [k] for each row whether it is matched with the goal's row.
         """
 
 

@@ -22,7 +22,7 @@ from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 
 from sdfgcn.config.diff import differences, flat
-from sdfgcn.episodes import Episode, EpisodeTable
+from sdfgcn.episodes import EpisodeResult, EpisodeTable
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import write_json, write_text
 
@@ -97,11 +97,11 @@ class RunFolder:
         return round(self._earlier_s + time.monotonic() - self._clock, 3)
 
     @property
-    def finished(self) -> list[Episode]:
+    def finished(self) -> list[EpisodeResult]:
         """The episodes that the folder holds, sorted by index."""
         return self._table.read()
 
-    def keep(self, episodes: Iterable[Episode]) -> list[Episode]:
+    def keep(self, episodes: Iterable[EpisodeResult]) -> list[EpisodeResult]:
         """Keep each episode as it comes, and return all that the folder holds.
 
         Args:
@@ -168,8 +168,8 @@ class RunFolder:
 
 def _binding(cfg: Any) -> dict[str, Any]:
     """A config with dotted keys, without those that do not change an episode."""
-    values = flat(OmegaConf.to_container(cfg))
-    return {key: value for key, value in values.items() if not key.startswith(_FREE_KEYS)}
+    values: Any = OmegaConf.to_container(cfg)
+    return {key: value for key, value in flat(values).items() if not key.startswith(_FREE_KEYS)}
 
 
 def _earlier_seconds(status: Path) -> float:

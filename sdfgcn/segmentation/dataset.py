@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
-from sdfgcn.config import TrainUCNConfig
+from sdfgcn.config import SegmentationTrainingConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import replaced
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
 from sdfgcn.objects.storage import cache_dir
-from sdfgcn.perception.scenes import SceneWorld
+from sdfgcn.segmentation.arrangements import ArrangementWorld
 
 FORMAT = 1  # raise it whenever the same settings would now give other pictures
 SHARD = 100  # arrangements in a shard
@@ -44,7 +44,7 @@ class Pictures:
     labels: NDArray[np.uint8]
 
 
-def load_pictures(config: TrainUCNConfig) -> Pictures:
+def load_pictures(config: SegmentationTrainingConfig) -> Pictures:
     """Render what is missing of the training pictures and read them all.
 
     Raises:
@@ -57,7 +57,7 @@ def load_pictures(config: TrainUCNConfig) -> Pictures:
     shards = _shards(config)
     missing = [shard for shard in shards if not (folder / shard.file).exists()]
     with tqdm(
-        total=len(missing) * SHARD * config.scenes.appearances,
+        total=len(missing) * SHARD * config.arrangements.appearances,
         desc="Rendering",
         unit="picture",
         disable=None,
@@ -67,9 +67,11 @@ def load_pictures(config: TrainUCNConfig) -> Pictures:
     return _read([folder / shard.file for shard in shards])
 
 
-def pictures_folder(config: TrainUCNConfig) -> Path:
+def pictures_folder(config: SegmentationTrainingConfig) -> Path:
     """The folder in which pictures with these settings are cached."""
-    scenes = {k: v for k, v in asdict(config.scenes).items() if k not in ("workers", "layouts")}
+    scenes = {
+        k: v for k, v in asdict(config.arrangements).items() if k not in ("workers", "layouts")
+    }
     settings = {
         "format": [FORMAT, SHARD],
         "scenes": scenes,
@@ -102,25 +104,27 @@ class Shard:
         return f"{self.catalogue}-{self.number:04d}.npz"
 
 
-def _shards(config: TrainUCNConfig) -> list[Shard]:
+def _shards(config: SegmentationTrainingConfig) -> list[Shard]:
     """As many of each catalogue, so that more layouts add shards and change none."""
-    each = -(-config.scenes.layouts // (SHARD * len(config.catalogues)))
+    each = -(-config.arrangements.layouts // (SHARD * len(config.catalogues)))
     return [Shard(name, number) for number in range(each) for name in sorted(config.catalogues)]
 
 
-def _render_all(config: TrainUCNConfig, folder: Path, missing: Sequence[Shard]) -> Iterator[int]:
+def _render_all(
+    config: SegmentationTrainingConfig, folder: Path, missing: Sequence[Shard]
+) -> Iterator[int]:
     """Render shards in worker processes; yields how many pictures each has."""
-    if config.scenes.workers == 0 or len(missing) < 2:
+    if config.arrangements.workers == 0 or len(missing) < 2:
         yield from (render_shard(config, folder, shard) for shard in missing)
         return
     context = multiprocessing.get_context("spawn")  # OpenGL does not survive a fork
-    with ProcessPoolExecutor(config.scenes.workers, mp_context=context) as pool:
+    with ProcessPoolExecutor(config.arrangements.workers, mp_context=context) as pool:
         jobs = [pool.submit(render_shard, config, folder, shard) for shard in missing]
         for job in as_completed(jobs):
             yield job.result()
 
 
-def render_shard(config: TrainUCNConfig, folder: Path, shard: Shard) -> int:
+def render_shard(config: SegmentationTrainingConfig, folder: Path, shard: Shard) -> int:
     """Render one shard and write its file in one step.
 
     Returns:
@@ -130,10 +134,10 @@ def render_shard(config: TrainUCNConfig, folder: Path, shard: Shard) -> int:
     env = replace(config.env, objects=objects)
     order = sorted(config.catalogues).index(shard.catalogue)
     pixels, labels = [], []
-    world = SceneWorld(env, load_catalogue(objects, "train"), config.scenes)
+    world = ArrangementWorld(env, load_catalogue(objects, "train"), config.arrangements)
     with closing(world):
         for layout in range(SHARD):
-            rng = np.random.default_rng([config.scenes.seed, order, shard.number, layout])
+            rng = np.random.default_rng([config.arrangements.seed, order, shard.number, layout])
             for picture, truth in world.pictures(rng):
                 pixels.append(picture)
                 labels.append(truth)

@@ -1,0 +1,162 @@
+"""Results laid out beside the paper's: the row that a run prints, and tables of many runs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+from sdfgcn.paper import paper_figure
+
+Results = Mapping[str, Any]  # the content of `results.json`
+Interval = Sequence[float]
+
+# The conditions that the rows of a table may share. One that differs becomes a column; the others
+# stand once above the table. One that is None for every row is not mentioned.
+SHARED = (
+    *("model", "split", "scenario", "perception", "curriculum", "epsilon", "loop_distance"),
+    "eval_seed",
+)
+_OWN = ("n_objects", "objects", "robot", "seed")  # conditions that always have a column
+_PRINTED = (
+    *("model", "robot", "scenario", "perception", "epsilon", "loop_distance", "seed", "eval_seed"),
+)
+_NOTE = (
+    "In brackets: 95% confidence intervals (Wilson's for the success rate, Student's t for means). "
+    "Pushes and error are means over successful episodes. The paper's figures are for ShapeNet "
+    "models, ours for the objects named."
+)
+
+
+def paper(results: Results) -> dict[str, Any] | None:
+    """The paper's figure for a run like this as a dictionary, or None where it has none."""
+    if results["scenario"] != "random":  # the only one that the paper gives figures for
+        return None
+    figure = paper_figure(
+        *(results[key] for key in ("model", "split", "n_objects")),
+        *(results.get(key) for key in ("curriculum", "trained_objects")),
+    )
+    return None if figure is None else asdict(figure)
+
+
+# ------------------------------------------------------------------ cells
+
+
+def percent(share: float | None, interval: Interval | None = None, digits: int = 0) -> str:
+    """A share as a table says it: `93%`, or `93% [90, 95]` with its interval; `-` for None."""
+    return _cell(share, interval, 100, digits, "%")
+
+
+def decimal(value: float | None, interval: Interval | None = None, digits: int = 1) -> str:
+    """A number as a table says it: `26.2`, or `26.2 [25.0, 27.3]`; `-` for None."""
+    return _cell(value, interval, 1, digits, "")
+
+
+def _cell(
+    value: float | None, interval: Interval | None, scale: int, digits: int, unit: str
+) -> str:
+    if value is None:
+        return "-"
+    bounds = ", ".join(f"{scale * bound:.{digits}f}" for bound in interval or ())
+    return f"{scale * value:.{digits}f}{unit}" + (f" [{bounds}]" if bounds else "")
+
+
+# The figures of a row: key, head of its column, format.
+_FIGURES: tuple[tuple[str, str, Callable[..., str]], ...] = (
+    ("success_rate", "success rate", percent),
+    ("pushes", "pushes", decimal),
+    ("error_mm", "error (mm)", decimal),
+    ("out_of_range_rate", "out of range", percent),
+)
+_NOT_IN_THE_PAPER = "out_of_range_rate"
+
+
+def _figures(row: Mapping[str, Any]) -> list[str]:
+    return [told(row.get(key), row.get(f"{key}_ci95")) for key, _, told in _FIGURES]
+
+
+def _said(row: Results, keys: Iterable[str]) -> str:
+    """Conditions for a title, such as "epsilon 0.1, no loop distance"."""
+    words = ((key.replace("_", " "), row.get(key)) for key in keys)
+    return ", ".join(f"no {name}" if value is None else f"{name} {value}" for name, value in words)
+
+
+# ------------------------------------------------------------------ one run, as text
+
+
+def text(results: Results) -> str:
+    """Lay out the row of an evaluation above the paper's, aligned.
+
+    Args:
+        results: The content of `results.json`.
+    """
+    rows = [
+        ["", "episodes", *(head for _, head, _ in _FIGURES)],
+        [f"{results['model']} (this run)", str(results["episodes"]), *_figures(results)],
+    ]
+    figure = paper(results)
+    if figure is not None:
+        episodes = "200" if figure["table"] == "table I" else "-"
+        rows.append([f"{figure['method']} (paper, {figure['table']})", episodes, *_figures(figure)])
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    objects = f"{results['n_objects']} {results['objects']} objects ({results['split']})"
+    return "\n".join(
+        [
+            f"{objects}, {_said(results, _PRINTED)}",
+            *("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows),
+            "Pushes and error: means over successes. In brackets: 95% confidence intervals.",
+        ]
+    )
+
+
+# ------------------------------------------------------------------ many runs, as Markdown
+
+
+def markdown(rows: Sequence[Results]) -> str:
+    """Lay runs out as a Markdown table, beside the paper's figures where it has them.
+
+    Args:
+        rows: The content of each run's `results.json`.
+    """
+    differing = [key for key in SHARED if len({row.get(key) for row in rows}) > 1]
+    shared = [key for key in SHARED if key not in differing and rows[0].get(key) is not None]
+    title = _said(rows[0], shared)
+    heads = [key.replace("_", " ") for key in (*differing, *_OWN, "episodes")]
+    for key, name, _ in _FIGURES:
+        heads += [name] if key == _NOT_IN_THE_PAPER else [name, "paper"]
+    head = [f"{title[:1].upper()}{title[1:]}.", ""] if title else []
+    table = markdown_table(heads, (_cells(row, differing) for row in rows))
+    return "\n".join([*head, table, "", f"{_NOTE} {_provenance(rows)}"]) + "\n"
+
+
+def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table without a newline at its end."""
+    lines = (heads, ["---"] * len(heads), *rows)
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def _cells(row: Results, differing: Sequence[str]) -> list[str]:
+    cells = ["-" if row.get(key) is None else str(row[key]) for key in differing]
+    cells += [str(row[key]) for key in (*_OWN, "episodes")]
+    figures = zip(_FIGURES, _figures(row), _figures(paper(row) or {}), strict=True)
+    for (key, _, _), ours, theirs in figures:
+        cells += [ours] if key == _NOT_IN_THE_PAPER else [ours, theirs]
+    return cells
+
+
+def _provenance(rows: Sequence[Results]) -> str:
+    """The paper's tables and methods, the commits and MuJoCo versions that the rows come from."""
+    figures = [figure for row in rows if (figure := paper(row))]
+    tables = sorted({figure["table"] for figure in figures})
+    methods = sorted({figure["method"] for figure in figures} - {row["model"] for row in rows})
+    commits = sorted({_commit(row["git"]) for row in rows})
+    mujoco = sorted({row["versions"].get("mujoco", "unknown") for row in rows})
+    which = f" ({', '.join(methods)})" if methods else ""
+    paper_part = f"Paper: {' and '.join(tables)}{which}. " if tables else ""
+    return f"{paper_part}Commit {' and '.join(commits)}; MuJoCo {' and '.join(mujoco)}."
+
+
+def _commit(git: dict[str, Any] | None) -> str:
+    if git is None:
+        return "unknown"
+    return git["commit"][:10] + (" with uncommitted changes" if git["dirty"] else "")

@@ -1,0 +1,1 @@
+"""Training the segmentation network: its pictures, its loss, its scores, the loop."""

@@ -1,0 +1,67 @@
+"""The policy that pushes while a Q-network learns: greedy but for a falling epsilon."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from torchrl.data import Categorical
+from torchrl.modules import EGreedyModule
+
+from sdfgcn.config import TrainConfig
+from sdfgcn.train.learner import q_actor
+
+
+class EpsilonGreedyPolicy:
+    """A copy of the learner's network on the CPU that now and then pushes at random.
+
+    Attributes:
+        module: Sets `action`; what a collector pushes with.
+    """
+
+    def __init__(
+        self,
+        network: TensorDictModuleBase,
+        actions: Categorical,
+        train: TrainConfig,
+        epsilon_pushes: int,
+    ) -> None:
+        """Copy the network.
+
+        Args:
+            network: The learner's.
+            actions: The spec of an action.
+            train: The first and last epsilon.
+            epsilon_pushes: Pushes over which it falls.
+        """
+        self._network = copy.deepcopy(network).cpu().requires_grad_(False)
+        self._greedy = EGreedyModule(
+            spec=actions.clone(),
+            eps_init=train.epsilon_start,
+            eps_end=train.epsilon_end,
+            annealing_num_steps=epsilon_pushes,
+            action_mask_key="action_mask",
+        )
+        self.module = TensorDictSequential(q_actor(self._network, actions.clone()), self._greedy)
+
+    @property
+    def epsilon(self) -> float:
+        """The share of random pushes now."""
+        return float(self._greedy.eps)
+
+    def load_weights(self, network: TensorDictModuleBase) -> None:
+        """Take over the learner's weights."""
+        self._network.load_state_dict(network.state_dict())
+
+    def pushed(self, pushes: int) -> None:
+        """Let epsilon fall by so many pushes."""
+        self._greedy.step(pushes)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Epsilon, for a checkpoint; the weights are the learner's."""
+        return {"epsilon": self.epsilon}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on from what a checkpoint kept."""
+        self._greedy.eps.fill_(float(state["epsilon"]))
