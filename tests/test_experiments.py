@@ -58,11 +58,6 @@ def test_a_result_is_named_after_what_is_unusual() -> None:
     assert name == "benchmark_vision_household"
 
 
-def test_percent() -> None:
-    assert common.percent(0.932) == "93%"
-    assert common.percent(0.932, [0.9064, 0.951], digits=1) == "93.2% [90.6, 95.1]"
-
-
 # ---------------------------------------------------------------------- matching
 
 

@@ -11,7 +11,7 @@ from sdfgcn.episodes import COLUMNS, EpisodeResult, EpisodeTable
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import write_json
 from sdfgcn.paper import paper_figure
-from sdfgcn.report import text
+from sdfgcn.report import decimal, percent, text
 from sdfgcn.results import git_state, mean, summarise, t_interval, wilson
 from sdfgcn.run_folder import RunFolder
 
@@ -171,6 +171,13 @@ def test_table_stands_beside_the_paper() -> None:
     assert head.index("success rate") == ours.index("100% [34, 100]") == paper.index("69%")
     assert head.index("error (mm)") == ours.index("25.0 [") == paper.index("28.8")
     assert "paper" not in text(results | {"scenario": "swap"})
+
+
+def test_cells_of_a_table() -> None:
+    assert percent(0.932) == "93%"
+    assert percent(0.932, [0.9064, 0.951], digits=1) == "93.2% [90.6, 95.1]"
+    assert decimal(26.24, (25.0, 27.36)) == "26.2 [25.0, 27.4]"
+    assert percent(None) == decimal(None) == "-"
 
 
 # ------------------------------------------------------------------ provenance

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sdfgcn.config import ArenaConfig, PushConfig
 from sdfgcn.geometry.region import Region
-from sdfgcn.sim.robots import Robot, Unreachable
+from sdfgcn.sim.robots.robot import Robot, Unreachable
 from sdfgcn.world import PushCommand, PushResult
 
 NEGLIGIBLE = 0.1  # rad/s2 or m/s2 of a drive, for which no feed-forward is worked out

@@ -1,4 +1,4 @@
-"""How a training goes: one live line, `train.csv`, and the run's logger."""
+"""How a training is going: one live line, `train.csv`, and the run's logger."""
 
 from __future__ import annotations
 
@@ -14,23 +14,24 @@ from tqdm import tqdm
 from sdfgcn.files import CsvTable
 from sdfgcn.loggers import Logger
 
-WINDOW = 100  # episodes over which success is measured
+WINDOW = 100  # episodes, or updates, over which figures are averaged
 
 COLUMNS = (
     *("pushes", "updates", "episodes", "seconds", "pushes_per_s", "updates_per_s"),
     *("success_rate", "out_of_range_rate", "episode_pushes", "return", "loss", "epsilon"),
     "n_objects",
 )
+_AVERAGED = ("success_rate", "out_of_range_rate", "episode_pushes", "return", "loss")
 
 
 class TrainTable:
-    """`train.csv`: one row every so many pushes."""
+    """`train.csv`: one row every `train.log_pushes` pushes."""
 
     def __init__(self, path: Path) -> None:
         self._table = CsvTable(path, COLUMNS)
 
     def cut(self, pushes: int) -> None:
-        """Drop the rows after so many pushes: those are done again."""
+        """Keep the rows up to this many pushes; the pushes after them are made again."""
         self._table.keep(lambda row: int(row["pushes"]) <= pushes)
 
     def append(self, figures: dict[str, float]) -> None:
@@ -39,60 +40,56 @@ class TrainTable:
 
 
 class Progress:
-    """Counts pushes, updates and episodes, and tells of them."""
+    """Counts pushes and episodes, averages recent figures, and shows and logs them."""
 
     def __init__(self, folder: Path, logger: Logger, log_pushes: int) -> None:
-        """Make counters at zero.
+        """Start all counters at zero.
 
         Args:
             folder: The run folder.
-            logger: Takes each row of `train.csv` as well; its step is the number of pushes.
+            logger: Gets each row of `train.csv` too; its step is the number of pushes.
             log_pushes: Pushes between two rows.
         """
-        self.pushes = self.updates = self.episodes = 0
-        self.earlier_s = 0.0
+        self.pushes = self.episodes = 0
+        self._earlier_s = 0.0  # spent before the checkpoint that this training goes on from
         self._began = time.monotonic()
         self._table = TrainTable(folder / "train.csv")
         self._logger = logger
         self._log_pushes = log_pushes
-        self._successes: deque[float] = deque(maxlen=WINDOW)
-        self._out_of_range: deque[float] = deque(maxlen=WINDOW)
-        self._lengths: deque[float] = deque(maxlen=WINDOW)
-        self._returns: deque[float] = deque(maxlen=WINDOW)
-        self._return: dict[int, float] = {}  # of running episodes, by trajectory
+        self._recent = {name: deque[float](maxlen=WINDOW) for name in _AVERAGED}
+        self._return: dict[int, float] = {}  # return so far of unfinished episodes, by trajectory
         self._carried = 0.0  # return so far of the episode that goes on from a checkpoint
-        self._losses: deque[float] = deque(maxlen=WINDOW)
-        self._since = (self._began, 0, 0)
+        self._last_row = (self._began, 0, 0)  # its time, pushes and updates
 
     @property
     def seconds(self) -> float:
-        """Wall seconds of training, over every time it was gone on with."""
-        return self.earlier_s + time.monotonic() - self._began
+        """Wall seconds of training, including those before a checkpoint."""
+        return self._earlier_s + time.monotonic() - self._began
 
-    def open(self, total: int, minutes: float | None = None) -> None:
-        """Begin to show the live line, and cut what `train.csv` has of the time after now.
+    def open(self, updates: int, total: int, minutes: float | None = None) -> None:
+        """Show the live line, and drop the rows of `train.csv` that will be written again.
 
         Args:
-            total: Pushes after which the training ends; the line shows the time left to them.
-            minutes: Of training after which it ends if that is sooner; shown as well.
+            updates: Updates so far.
+            total: Pushes at which the training ends; the line shows the time left to them.
+            minutes: Minutes at which the training ends if that is sooner; shown as well.
         """
         self._minutes = minutes
         self._table.cut(self.pushes)
-        self._began = time.monotonic()  # without the time that it took to build all parts
-        self._since = (time.monotonic(), self.pushes, self.updates)
+        self._began = time.monotonic()  # leaves out the time that building all parts took
+        self._last_row = (self._began, self.pushes, updates)
         self._bar = tqdm(total=total, initial=self.pushes, unit="push", disable=None)
 
     def close(self) -> None:
-        """Leave the live line."""
+        """Close the live line."""
         self._bar.close()
 
     def updated(self, figures: dict[str, float]) -> None:
-        """Count one update."""
-        self.updates += 1
-        self._losses.append(figures["loss"])
+        """Take the figures of one update."""
+        self._recent["loss"].append(figures["loss"])
 
     def pushed(self, collected: TensorDictBase) -> None:
-        """Count [T] pushes as a collector hands them over."""
+        """Count [T] pushes from a collector, and the episodes that end with them."""
         outcome = collected["next"]
         done = outcome["done"].squeeze(-1).tolist()
         rewards = outcome["reward"].squeeze(-1).tolist()
@@ -104,28 +101,30 @@ class Progress:
                 self._return[trajectory] = total
                 continue
             self.episodes += 1
-            self._successes.append(float(outcome["success"][i]))
-            self._out_of_range.append(float(outcome["out_of_range"][i]))
-            self._lengths.append(float(outcome["pushes"][i]))
-            self._returns.append(total)
+            self._recent["success_rate"].append(float(outcome["success"][i]))
+            self._recent["out_of_range_rate"].append(float(outcome["out_of_range"][i]))
+            self._recent["episode_pushes"].append(float(outcome["pushes"][i]))
+            self._recent["return"].append(total)
         self.pushes += len(trajectories)
 
-    def tell(self, epsilon: float, n_objects: int) -> None:
-        """Show the counters; log a row when it is time."""
-        clock, pushes, updates = self._since
-        took = max(time.monotonic() - clock, 1e-9)
+    def tell(self, updates: int, epsilon: float, n_objects: int) -> None:
+        """Update the live line, and log a row if `log_pushes` pushes have passed since the last.
+
+        Args:
+            updates: Updates so far.
+            epsilon: Share of random pushes now.
+            n_objects: The most objects in a training episode now.
+        """
+        now, (then, last_pushes, last_updates) = time.monotonic(), self._last_row
+        took = max(now - then, 1e-9)
         figures = {
             "pushes": self.pushes,
-            "updates": self.updates,
+            "updates": updates,
             "episodes": self.episodes,
             "seconds": round(self.seconds, 1),
-            "pushes_per_s": round((self.pushes - pushes) / took, 2),
-            "updates_per_s": round((self.updates - updates) / took, 3),
-            "success_rate": _mean(self._successes),
-            "out_of_range_rate": _mean(self._out_of_range),
-            "episode_pushes": _mean(self._lengths),
-            "return": _mean(self._returns),
-            "loss": _mean(self._losses),
+            "pushes_per_s": round((self.pushes - last_pushes) / took, 2),
+            "updates_per_s": round((updates - last_updates) / took, 3),
+            **{name: _mean(values) for name, values in self._recent.items()},
             "epsilon": epsilon,
             "n_objects": n_objects,
         }
@@ -133,41 +132,39 @@ class Progress:
             "" if self._minutes is None else f"{self.seconds / 60:.0f} of {self._minutes:g} min, "
         )
         self._bar.set_postfix_str(
-            f"{spent}{self.updates} updates, {figures['updates_per_s']:.1f}/s, "
+            f"{spent}{updates} updates, {figures['updates_per_s']:.1f}/s, "
             f"success {figures['success_rate']:.0%}, loss {figures['loss']:.3f}, "
             f"epsilon {epsilon:.2f}, {n_objects} objects",
             refresh=False,
         )
         self._bar.update(self.pushes - self._bar.n)
-        if self.pushes // self._log_pushes > pushes // self._log_pushes:
+        if self.pushes // self._log_pushes > last_pushes // self._log_pushes:
             self._table.append(figures)
             self._logger.log(
                 self.pushes, {f"train/{name}": float(value) for name, value in figures.items()}
             )
-            self._since = (time.monotonic(), self.pushes, self.updates)
+            self._last_row = (time.monotonic(), self.pushes, updates)
 
     def state_dict(self) -> dict[str, Any]:
         """What a checkpoint keeps."""
-        recent = (self._successes, self._out_of_range, self._lengths, self._returns, self._losses)
         return {
-            "counters": [self.pushes, self.updates, self.episodes],
+            "counters": [self.pushes, self.episodes],
             "seconds": self.seconds,
-            "recent": [list(values) for values in recent],
+            "recent": {name: list(values) for name, values in self._recent.items()},
             "running": sum(self._return.values(), self._carried),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Go on from what a checkpoint kept."""
-        self.pushes, self.updates, self.episodes = (int(count) for count in state["counters"])
-        self.earlier_s = float(state["seconds"])
-        recent = (self._successes, self._out_of_range, self._lengths, self._returns, self._losses)
-        for values, kept in zip(recent, state["recent"], strict=True):
+        self.pushes, self.episodes = (int(count) for count in state["counters"])
+        self._earlier_s = float(state["seconds"])
+        for name, values in self._recent.items():
             values.clear()
-            values.extend(map(float, kept))
+            values.extend(map(float, state["recent"][name]))
         self._carried = float(state["running"])
 
     def new_episodes(self) -> None:
-        """Take it that no episode goes on: the actors begin new ones."""
+        """Forget the unfinished episode of the checkpoint: the actors start new ones."""
         self._carried = 0.0
 
 
