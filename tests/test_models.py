@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import torch
 from configs import real_config
+from sdfgcn.models.nodes import OccupiedNodes
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.nn.functional import pad
@@ -19,7 +20,6 @@ from sdfgcn.config import N_DIRECTIONS, ModelConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.models import build_q_network, q_networks
 from sdfgcn.models.layers import PROPAGATIONS, Propagation
-from sdfgcn.models.nodes import OccupiedNodes
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.models.sdfgcn import ConvGcnConfig
 
