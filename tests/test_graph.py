@@ -6,13 +6,6 @@ import numpy as np
 import pytest
 import torch
 from configs import real_config
-from tensordict import TensorDict
-from torch import Tensor
-from torch.nn.functional import pad
-from torchrl.envs import check_env_specs
-
-from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.errors import SdfgcnError
 from sdfgcn.graph import (
     EDGES,
     NODE_FEATURES,
@@ -23,6 +16,13 @@ from sdfgcn.graph import (
     scene_graph,
     with_goal,
 )
+from tensordict import TensorDict
+from torch import Tensor
+from torch.nn.functional import pad
+from torchrl.envs import check_env_specs
+
+from sdfgcn.envs.rearrangement import RearrangementEnv
+from sdfgcn.errors import SdfgcnError
 from sdfgcn.perception.sdf import signed_distance
 
 SIZE = 12

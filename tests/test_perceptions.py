@@ -7,13 +7,13 @@ import pytest
 import torch
 from conftest import Envs
 from recordings import Recording
+from sdfgcn.graph import EDGES, scene_graph
+from sdfgcn.perception.perception import Perception
 from torchrl.envs.utils import check_env_specs
 from toys import act
 
 from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.graph import EDGES, scene_graph
-from sdfgcn.perception.perception import Perception
 from sdfgcn.perception.vision import rows_of
 from sdfgcn.registry import PERCEPTIONS, RECORDERS
 

@@ -12,13 +12,13 @@ import numpy as np
 import pytest
 import torch
 from configs import real_config
+from sdfgcn.agents.q_agent import QAgent
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 
 import sdfgcn
 from sdfgcn.agents import build_agent
 from sdfgcn.agents.policy import load_network, save_policy
-from sdfgcn.agents.q_agent import QAgent
 from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.models import build_q_network, q_networks
