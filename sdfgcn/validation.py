@@ -82,7 +82,7 @@ def _set_type(
     for key in path.split("."):
         component = component.get(key) if isinstance(component, dict) else None
     if isinstance(component, dict):
-        component_type = registry.config_type(component.get("name"))
+        component_type = registry.config_type(str(component.get("name")))
         OmegaConf.update(schema, path, component_type, merge=False, force_add=True)
 
 
