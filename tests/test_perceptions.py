@@ -43,16 +43,16 @@ def test_goes_on_alike_after_a_save_and_restore(env):
 
 def test_every_detection_has_its_features_and_its_place(env):
     td = env.reset_episode(7)
-    nodes, goal_nodes = td["node_mask"], td["goal_node_mask"]
+    nodes, goal_nodes = td["scene", "node_mask"], td["goal", "node_mask"]
     assert nodes.any() and goal_nodes.any()
-    assert (td["sdf"][nodes].flatten(1).min(dim=1).values < 0).all()
-    assert (td["sdf"][~nodes] == 0).all() and (td["center"][~nodes] == 0).all()
+    assert (td["scene", "sdf"][nodes].flatten(1).min(dim=1).values < 0).all()
+    assert (td["scene", "sdf"][~nodes] == 0).all() and (td["scene", "center"][~nodes] == 0).all()
     matched = td["correspondence"] >= 0
     assert not (matched & ~nodes).any()
     assert goal_nodes[td["correspondence"][matched]].all()
     assert td["correspondence"][matched].unique().numel() == matched.sum()
     # A detected centre lies on its object.
-    assert (td["center"] - td["position"])[nodes].norm(dim=1).max() < 0.05
+    assert (td["scene", "center"] - td["scene", "position"])[nodes].norm(dim=1).max() < 0.05
 
 
 def test_recording_shows_masks_sdfs_and_matches(env, tmp_path):
@@ -72,7 +72,7 @@ def test_recording_shows_masks_sdfs_and_matches(env, tmp_path):
         assert any(each.startswith(entity) for each in seen), entity
     # One SDF for each object that is seen to start with, and as many matches drawn as there are.
     assert sum(each.startswith("/sdf/scene/") and each.count("/") == 3 for each in seen) >= 2
-    assert (env.last_step.scene.correspondence >= 0).any()
+    assert (env.last_step.after.correspondence >= 0).any()
 
 
 # ------------------------------------------------------------------ what may go wrong
@@ -134,16 +134,16 @@ def scripted(env_of: Envs) -> Iterator[RearrangementEnv]:
 def test_wrong_masks_are_ordinary_observations(scripted, change, detections, matches):
     scripted._perception.change = change
     td = scripted.reset_episode(1)
-    assert td["node_mask"].sum() == detections
+    assert td["scene", "node_mask"].sum() == detections
     assert (td["correspondence"] >= 0).sum() == matches
     assert td["action_mask"].any()
     # Legal are pushes of detections alone; where there is none, row 0 stands in.
     legal = td["action_mask"].view(-1, N_DIRECTIONS).any(dim=1)
     if detections:
-        assert not (legal & ~td["node_mask"]).any()
+        assert not (legal & ~td["scene", "node_mask"]).any()
     for edges in EDGES:
         graph = scene_graph(td, edges)
-        assert graph.adjacency[: len(td["sdf"]), len(td["sdf"]) :].sum() == matches
+        assert graph.adjacency[: len(td["scene", "sdf"]), len(td["scene", "sdf"]) :].sum() == matches
     after = act(scripted, td, int(td["action_mask"].int().argmax()))
     assert after["terminated"].item() == (detections == 0)
     terms = scripted.last_step.reward_terms
@@ -166,9 +166,9 @@ def test_wrong_masks_of_the_goal(scripted, goal_change):
     scripted._perception.goal_change = goal_change
     td = scripted.reset_episode(3)
     count = len(goal_change(np.ones((3, 9, 9), dtype=bool))[0])
-    assert td["goal_node_mask"].sum() == count
+    assert td["goal", "node_mask"].sum() == count
     matched = td["correspondence"][td["correspondence"] >= 0]
-    assert td["goal_node_mask"][matched].all()
+    assert td["goal", "node_mask"][matched].all()
     act(scripted, td, int(td["action_mask"].int().argmax()))
 
 

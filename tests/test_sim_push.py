@@ -24,7 +24,7 @@ def env(request: pytest.FixtureRequest, toys_of: Envs) -> RearrangementEnv:
 @pytest.fixture(scope="module")
 def tips(env: RearrangementEnv) -> Fingertips:
     lay_out(env, [BOX], [MIDDLE])
-    return Fingertips(env._environment.physics, env._task.robot)
+    return Fingertips(env.world.physics, env.world.task.robot)
 
 
 def behind(direction: int, distance: float) -> np.ndarray:
@@ -35,7 +35,7 @@ def behind(direction: int, distance: float) -> np.ndarray:
 
 
 def test_tool_is_where_the_joints_are_solved_for(env, tips):
-    robot, physics = env._task.robot, env._environment.physics
+    robot, physics = env.world.task.robot, env.world.physics
     arena, approach = env.config.arena, env.config.push.approach
     for x in (*arena.reach_x, 0.1):
         for y in (*arena.reach_y, 0.05):
@@ -73,7 +73,7 @@ def test_tool_follows_the_path(env, tips, direction):
     down, up = slice(0, low[0]), slice(low[-1] + 1, None)
 
     close = 0.001
-    if env._task.robot.teleports:
+    if env.world.task.robot.teleports:
         assert low[0] == 0  # it is put there
     else:
         assert path[0] == pytest.approx(config.height + config.approach, abs=0.004)  # one step on
@@ -87,7 +87,7 @@ def test_tool_follows_the_path(env, tips, direction):
     assert along[work].max() == pytest.approx(0.10, abs=close)
     # Straight up as the joints go, which for an arm is not quite straight.
     np.testing.assert_allclose(
-        along[up], 0.10 - config.retreat, atol=0.002 if env._task.robot.teleports else 0.010
+        along[up], 0.10 - config.retreat, atol=0.002 if env.world.task.robot.teleports else 0.010
     )
     # The fingers stand side by side across the push.
     assert np.abs(across[first:last] @ ahead).max() < 0.05
@@ -97,7 +97,7 @@ def test_unreachable_pose_is_said_so(env):
     if env.config.robot.name == "gripper":
         pytest.skip("a floating gripper reaches everything")
     with pytest.raises(Unreachable, match="no joint positions"):
-        env._task.robot.solve(np.array([1.5, 0.0, 0.1, 0.0]))
+        env.world.task.robot.solve(np.array([1.5, 0.0, 0.1, 0.0]))
 
 
 def test_tool_stays_within_its_bounds(env, tips):
@@ -182,13 +182,13 @@ def test_robots_push_alike(env_of: Envs):
     for seed in range(18):
         legal = [env.reset_episode(seed)["action_mask"].numpy() for env in envs]
         np.testing.assert_array_equal(legal[0], legal[1])
-        start = envs[0].episode_start.scene.poses
+        start = envs[0].episode_start.start.poses
         for action in rng.choice(np.flatnonzero(legal[0]), size=3, replace=False):
             slot, direction = divmod(action, N_DIRECTIONS)
             command = envs[0]._plan.command(slot, direction)
             pair = []
             for env in envs:
-                env._task.resume(env._environment.physics, start)
+                env.world.task.set_poses(env.world.physics, start)
                 pair.append(push(env, command.start, direction, command.free).moved[slot, :2])
             moves.append(pair)
     assert len(moves) >= 50
@@ -225,7 +225,7 @@ def test_ramps_by_hand():
 def test_drives_do_not_chatter(env, seed):
     """Where torque limits cut in, the arm's drives went to and fro between them at every step."""
     lay_out(env, [BOX], [(-0.2, -0.1)])
-    physics, robot = env._environment.physics, env._task.robot
+    physics, robot = env.world.physics, env.world.task.robot
     limits = physics.model.actuator_forcerange[robot.drive_ids, 1]
     shares, step = [], mujoco.mj_step
 
@@ -248,7 +248,7 @@ def test_descent_that_touches_is_given_up(toys_of: Envs, monkeypatch):
     """Should the way not be free after all, as for an arm that strays from it."""
     env = toys_of("ur5e")
     lay_out(env, [BOX], [MIDDLE])
-    monkeypatch.setattr(env._task._primitive, "_free", lambda *_: True)
+    monkeypatch.setattr(env.world.task._primitive, "_free", lambda *_: True)
     done = push(env, MIDDLE, 0, free=0.02)
     assert done.record.status == "blocked"
     assert np.linalg.norm(done.moved) < 0.01
