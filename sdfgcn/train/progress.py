@@ -163,8 +163,8 @@ class Progress:
             values.extend(map(float, state["recent"][name]))
         self._carried = float(state["running"])
 
-    def new_episodes(self) -> None:
-        """Forget the unfinished episode of the checkpoint: the actors start new ones."""
+    def forget_episode(self) -> None:
+        """Forget the unfinished episode of the checkpoint: the collectors have begun new ones."""
         self._carried = 0.0
 
 
