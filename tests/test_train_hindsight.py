@@ -189,7 +189,7 @@ def test_goals_go_by_row() -> None:
     """Each moved row takes its own place, whichever rows are matched."""
     nodes, start = (True, True, True), torch.tensor([[0.0, 0.0], [0.2, 0.0], [-0.2, 0.0]])
     pushed = push(
-        moved((0.06, 0.0), (0.0, 0.06), (0.0, -0.06), start=start),
+        moved((0.06, 0.0), (0.0, 0.03), (0.0, -0.06), start=start),
         start=start,
         before=nodes,
         goal=nodes,
@@ -199,7 +199,7 @@ def test_goals_go_by_row() -> None:
     wanted = torch.tensor([[0.06, 0.0], [0.2, 0.03], [-0.2, -0.06]])
     torch.testing.assert_close(after["goal"].position, wanted)
     assert after["goal"].sdf[:, 0, 0].tolist() == [20.0, 31.0, 22.0]
-    # Rows 0 and 2 come 60 mm nearer; row 1 has no goal that is known to be its own.
+    # Rows 0 and 2 come 60 mm nearer; what row 1 comes to is not its own goal.
     assert float(after["next", "reward"]) == pytest.approx(30 * 0.12 - 0.02, abs=1e-5)
     assert not bool(after["next", "success"])
 
