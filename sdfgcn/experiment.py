@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import asdict, replace
 from typing import Any
 
 from sdfgcn.config import Config, QNetworkConfig
-from sdfgcn.evaluate import Evaluation, evaluate, watch
+from sdfgcn.evaluate import Evaluation, HeldOutEvaluation, evaluate, watch
 from sdfgcn.loggers import Logger
 from sdfgcn.registry import LOGGERS, RECORDERS
 from sdfgcn.results import summarise
@@ -55,7 +56,7 @@ def with_policy(config: Config, folder: RunFolder, logger: Logger) -> Config:
         logger: Takes the training's figures.
 
     Raises:
-        SdfgcnError: The checkpoint given is no policy; or see `sdfgcn.train.loop.train`.
+        SdfgcnError: The checkpoint given is no policy; or see `sdfgcn.train.training.train`.
     """
     from sdfgcn.agents.policy import RELEASED, find_policy  # loads torch
 
@@ -68,7 +69,8 @@ def with_policy(config: Config, folder: RunFolder, logger: Logger) -> Config:
     about = policy / "policy.json"
     budget = asdict(config.budget)
     if not about.exists() or json.loads(about.read_text(encoding="utf-8"))["budget"] != budget:
-        from sdfgcn.train.loop import train_policy
+        from sdfgcn.train.training import train_policy
 
-        train_policy(config, folder.path, policy, logger)
+        with closing(HeldOutEvaluation(config)) as held_out:
+            train_policy(config, folder.path, policy, logger, held_out)
     return replace(config, checkpoint=str(policy))

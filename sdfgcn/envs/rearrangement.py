@@ -79,11 +79,7 @@ class RearrangementEnv(EnvBase):
         self.n_objects = config.n_objects
         self.push_space = PushSpace(config.push, arena)
         self._perception = perception(config.perception, config.max_objects)
-        if world is None:
-            from sdfgcn.sim.world import MujocoWorld  # another world needs no MuJoCo
-
-            world = MujocoWorld(config)
-        self.world = world
+        self.world = _simulated(config) if world is None else world
         self._allowed = Region.range(arena)
         self.record = False
         self._episode_seed: int | None = None
@@ -298,3 +294,9 @@ class RearrangementEnv(EnvBase):
         if not self.is_closed:
             self.world.close()
         super().close(raise_if_closed=raise_if_closed)
+
+
+def _simulated(config: EnvConfig) -> World:
+    from sdfgcn.sim.world import MujocoWorld  # another world needs no MuJoCo
+
+    return MujocoWorld(config)

@@ -72,8 +72,8 @@ class PushPrimitive:
     def _free(self, physics: mjcf.Physics, path: _Path) -> bool:
         """Whether the robot can go along a path without touching a prop.
 
-        It is put at every other waypoint, and nothing moves: the props lie still while the tool comes
-        down. What the tool passes in between, its shaft touches further down.
+        It is put at every other waypoint, and nothing moves: the props lie still while the tool
+        comes down. What the tool passes in between, its shaft touches further down.
         """
         model, data = physics.model.ptr, physics.data.ptr
         for joints in path.joints[::-2]:

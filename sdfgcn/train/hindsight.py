@@ -79,14 +79,15 @@ class Hindsight:
         """Write the episode that is going on, for a checkpoint."""
         episode = [*self._carried, *(push for pushes in self._open.values() for push in pushes)]
         if episode:
-            torch.stack(episode).contiguous().memmap(path / "episode", robust_key=True)
+            stacked: TensorDictBase = torch.stack(episode)  # type: ignore[assignment, arg-type]
+            stacked.contiguous().memmap(path / "episode")
 
     def load(self, path: Path) -> None:
         """Go on with the episode that a checkpoint kept."""
         self._open.clear()
         self._carried = []
         if (path / "episode").exists():
-            episode = TensorDict.load_memmap(path / "episode", robust_key=True)
+            episode = TensorDict.load_memmap(path / "episode")
             self._carried = list(episode.clone().unbind(0))
 
     def forget_episode(self) -> None:

@@ -164,7 +164,7 @@ class Progress:
         self._carried = float(state["running"])
 
     def forget_episode(self) -> None:
-        """Forget the unfinished episode of the checkpoint: the collectors have begun new ones."""
+        """Forget the unfinished episode of the checkpoint: the collectors begin new ones."""
         self._carried = 0.0
 
 

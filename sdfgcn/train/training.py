@@ -175,7 +175,8 @@ class Trainer:
 
     def run(self) -> None:
         """Train to the end of the budget."""
-        self._progress.open(self._config.budget.pushes, self._config.budget.minutes)
+        budget = self._config.budget
+        self._progress.open(self._learner.updates, budget.pushes, budget.minutes)
         while not self._finished():
             collected = self._collector.collect(meanwhile=self._update_within_limit)
             self._remember(collected)
