@@ -234,7 +234,9 @@ def test_hidden_object_does_not_shift_the_others(toys, monkeypatch):
     places = [(-0.1, 0.1), (0.1, 0.1), (0.0, 0.25)]
     td = lay_out(toys, [BOX, BALL, CAN], places)
     hidden = toys.world.task._visuals[BOX]
-    monkeypatch.setattr(toys.world.renderer, "geom_ids", lambda: np.where(seen() == hidden, -1, seen()))
+    monkeypatch.setattr(
+        toys.world.renderer, "geom_ids", lambda: np.where(seen() == hidden, -1, seen())
+    )
     poses = toys.world.poses()
     td = act(toys, td, 63)  # nothing moves; the picture is taken anew
     assert toys.last_step.reward_terms["vanished"] == -0.5
