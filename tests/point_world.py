@@ -10,11 +10,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import torch
+from sdfgcn.envs.types import StepRecord
+from sdfgcn.sim.types import Push
 from tensordict import TensorDict
 
 from sdfgcn.config import N_DIRECTIONS, EnvConfig
-from sdfgcn.envs.types import StepRecord
-from sdfgcn.sim.types import Push
 
 STEP = 0.06  # m
 NAMES = ("apple", "brick", "cup", "disc", "egg", "fork", "glove", "hat")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import multiprocessing
-import os
 import time
 import zipfile
 from pathlib import Path
@@ -32,10 +31,10 @@ STEADY = ("pushes", "updates", "episodes", "success_rate", "return", "loss", "ep
 
 def train_in_child(overrides: tuple[str, ...], folder: Path) -> None:
     """Train and leave the network in the folder; runs in a process that can be killed."""
-    from sdfgcn.envs import rearrangement
     from sdfgcn.train.loop import train
 
-    os.environ.setdefault("MUJOCO_GL", "egl")
+    from sdfgcn.envs import rearrangement
+
     rearrangement.load_catalogue = lambda config, split: TOYS  # a small world is built quickly
 
     def keep(network: QNetwork) -> None:

@@ -5,11 +5,11 @@ import pytest
 import torch
 from configs import real_config
 from conftest import Envs
+from sdfgcn.perception.push_start import PushPlanner
 from tensordict import TensorDict
 
 from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.perception.push_start import PushPlanner
 from sdfgcn.perception.sdf import SdfCache, signed_distance, signed_distances
 from sdfgcn.sim.push import direction_vector
 from sdfgcn.train.mirror import MIRRORED_DIRECTION, mirrored

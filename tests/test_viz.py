@@ -10,15 +10,15 @@ import pytest
 import skfmm
 from PIL import Image
 from recordings import Recording
+from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
+from sdfgcn.sim.types import Push
+from sdfgcn.viz.geometry import edge_strips, node_slots, vertex_normals, zero_contour
 
 from sdfgcn.config import ArenaConfig, EnvConfig
-from sdfgcn.envs.types import EpisodeStart, Scene, StepRecord
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.geometry.camera import CameraModel
 from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.registry import RECORDERS
-from sdfgcn.sim.types import Push
-from sdfgcn.viz.geometry import edge_strips, node_slots, vertex_normals, zero_contour
 from sdfgcn.viz.words import q_table
 
 SIZE = 96

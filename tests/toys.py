@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
+from sdfgcn.sim.types import Push
 from tensordict import TensorDictBase
 
 from sdfgcn.config import EnvConfig
@@ -15,7 +16,6 @@ from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.objects.primitives import circle
 from sdfgcn.sim.episode import Episode
-from sdfgcn.sim.types import Push
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 ON_ITS_SIDE = (0.5**0.5, 0.5**0.5, 0.0, 0.0)  # a quarter turn about x
