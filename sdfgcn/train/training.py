@@ -75,7 +75,7 @@ def train(
         The trained network, with the average of its weights over the last updates, on the CPU.
 
     Raises:
-        SdfgcnError: The checkpoint is damaged or of another experiment, or the device is missing.
+        SdfgcnError: The checkpoint is damaged or of another experiment.
     """
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every storage it makes
     threads = torch.get_num_threads()
