@@ -17,7 +17,8 @@ from sdfgcn.agents import build_agent
 from sdfgcn.config import Config
 from sdfgcn.episodes import EpisodeResult
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.evaluate import Evaluation, episode_seeds, evaluate, play_episode, watch
+from sdfgcn.evaluate import Evaluation, evaluate, watch
+from sdfgcn.play import episode_seeds, play_episode
 from sdfgcn.registry import LOGGERS, RECORDERS
 
 
@@ -39,8 +40,8 @@ class PlacedWorld(PointWorld):
     """Two points: one 0.19 m left of its goal, one at its goal, 0.01 m off."""
 
     def reset_episode(self, seed):
-        self.place(np.array([[[-0.19, 0.0], [0.1, 0.1]], [[0.0, 0.0], [0.1, 0.11]]]))
-        return self.observe()
+        start, goal = [[-0.19, 0.0], [0.1, 0.1]], [[0.0, 0.0], [0.1, 0.11]]
+        return self.place(np.array(start), np.array(goal), seed)
 
 
 def play(world: PointWorld, **options) -> EpisodeResult:
