@@ -14,7 +14,6 @@ from __future__ import annotations
 import os
 import sys
 
-os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ.setdefault("LP_NUM_THREADS", "0")  # software OpenGL: render in this thread
 for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
@@ -25,9 +24,9 @@ from typing import Any
 
 from common import load, parse, provenance, save
 from learning_curve import read
+from sdfgcn.train.loop import q_network, train
 
 from sdfgcn.loggers import NoLogger
-from sdfgcn.train.loop import q_network, train
 
 CASES: tuple[tuple[str, int], ...] = (("sync", 0), ("async", 1), ("async", 2), ("async", 3))
 LOG_PUSHES = 100  # pushes between two looks at the clock

@@ -17,7 +17,7 @@ RESULTS = ROOT / "experiments" / "results"
 
 
 def load(overrides: Sequence[str]) -> Config:
-    """The experiment's config with overrides as on the command line of `run.py`."""
+    """The experiment's config with overrides as on the command line of `sdfgcn`."""
     return load_config(*overrides)
 
 

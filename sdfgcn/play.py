@@ -69,7 +69,7 @@ def episode_seeds(seed: int, episode: int) -> tuple[int, np.random.Generator]:
 
 def play_episode(
     env: Env,
-    agent: EpsilonGreedy,
+    policy: Policy,
     episode: int,
     seed: int,
     recorder: Recorder | None = None,

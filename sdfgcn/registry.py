@@ -31,6 +31,7 @@ from sdfgcn.config import (
     ScenarioConfig,
     SegmentationConfig,
     VizConfig,
+    WorldConfig,
     lookup,
 )
 
@@ -132,6 +133,7 @@ def plugins() -> tuple[EntryPoint, ...]:
 
 
 MODELS: Registry[Any] = Registry("model", "model", "sdfgcn.models.* sdfgcn.agents.*", ModelConfig)
+WORLDS: Registry[Any] = Registry("world", "env.world", "sdfgcn.sim.world", WorldConfig)
 OBJECTS: Registry[Any] = Registry(
     "objects", "env.objects", "sdfgcn.objects.sources.*", ObjectsConfig
 )
@@ -160,6 +162,7 @@ RECORDERS: Registry[Any] = Registry("viz", "viz", "sdfgcn.viz", VizConfig)
 # In the order in which their configs nest: an outer one before those inside it.
 REGISTRIES: tuple[Registry[Any], ...] = (
     MODELS,
+    WORLDS,
     OBJECTS,
     ROBOTS,
     SCENARIOS,

@@ -88,13 +88,15 @@ class World(Protocol):
 
     Attributes:
         camera: Takes every picture.
-        n_objects: Objects of the running episode.
         truth: What is known of the running episode besides pictures; None in a real world.
     """
 
     camera: CameraModel
-    n_objects: int
     truth: Truth | None
+
+    @property
+    def n_objects(self) -> int:
+        """Objects of the running episode."""
 
     def reset(self, seed: int, n_objects: int) -> None:
         """Begin the episode that the seed stands for, with the objects at its start.

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from configs import real_config
 from scipy.ndimage import distance_transform_edt
+from sdfgcn.perception.perception import detected
+from sdfgcn.perception.push_start import PushPlan, PushPlanner, centers
 
 from sdfgcn.config import N_DIRECTIONS, ArenaConfig, PushConfig
 from sdfgcn.geometry.camera import CameraModel
 from sdfgcn.perception.oracle import oracle_masks
-from sdfgcn.perception.perception import detected
-from sdfgcn.perception.push_start import PushPlan, PushPlanner, centers
 from sdfgcn.perception.sdf import signed_distance, signed_distances
 from sdfgcn.sim.push import direction_vector
 

@@ -14,13 +14,13 @@ from sdfgcn.config import SegmentationConfig, SegmentationTrainingConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.perception import dataset, ucn_training
+from sdfgcn.perception.segmenters.clustering import cluster, masks_of
+from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
+from sdfgcn.registry import SEGMENTERS
+from sdfgcn.segmentation.loss import clustering_loss
 from sdfgcn.segmentation.metrics import match_masks, score_masks
 from sdfgcn.segmentation.scores import Example, shifted_look, summary, views
-from sdfgcn.perception.segmenters.clustering import cluster, masks_of
-from sdfgcn.segmentation.loss import clustering_loss
-from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
 from sdfgcn.segmentation.train import load_config
-from sdfgcn.registry import SEGMENTERS
 from sdfgcn.sim.arena import Table
 from sdfgcn.sim.renderer import Renderer
 

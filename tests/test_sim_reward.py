@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from configs import real_config
-
 from sdfgcn.sim.reward import reward_terms
 
 ZERO = {
