@@ -31,7 +31,7 @@ def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
     from sdfgcn.objects.catalogue import load_catalogue  # loads MuJoCo: it fails without OpenGL
 
     load_catalogue(config.env.objects, config.env.split)  # once, before workers would each do it
-    logger = LOGGERS.find(config.logger.name)(folder.path)
+    logger = LOGGERS.find(config.logger.name)(config.logger, folder.path)
     if isinstance(config.model, QNetworkConfig):
         config = with_policy(config, folder, logger)
     evaluation = Evaluation(

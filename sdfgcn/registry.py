@@ -142,10 +142,7 @@ SCENARIOS: Registry[Any] = Registry(
     "scenario", "env.scenario", "sdfgcn.sim.scenarios.*", ScenarioConfig
 )
 PERCEPTIONS: Registry[Any] = Registry(
-    "perception",
-    "env.perception",
-    "sdfgcn.perception.oracle sdfgcn.perception.vision",
-    PerceptionConfig,
+    "perception", "env.perception", "sdfgcn.perception.*", PerceptionConfig
 )
 ENCODERS: Registry[Any] = Registry(
     "encoder", "env.perception.encoder", "sdfgcn.perception.encoders.*", EncoderConfig
@@ -156,7 +153,7 @@ SEGMENTERS: Registry[Any] = Registry(
     "sdfgcn.perception.segmenters.*",
     SegmentationConfig,
 )
-LOGGERS: Registry[Any] = Registry("logger", "logger", "sdfgcn.loggers", LoggerConfig)
+LOGGERS: Registry[Any] = Registry("logger", "logger", "sdfgcn.loggers.*", LoggerConfig)
 RECORDERS: Registry[Any] = Registry("viz", "viz", "sdfgcn.viz", VizConfig)
 
 # In the order in which their configs nest: an outer one before those inside it.

@@ -206,7 +206,8 @@ def test_watching_passes_episodes_on_and_logs_them(name: str, tmp_path: Path) ->
         pytest.importorskip(name)
     episodes = list(evaluate(point_world(tmp_path)))
     done, rest = episodes[:1], episodes[1:]
-    assert list(watch(rest, done, total=4, logger=LOGGERS[name](tmp_path))) == rest
+    logger = LOGGERS[name](real_config(f"logger={name}").logger, tmp_path)
+    assert list(watch(rest, done, total=4, logger=logger)) == rest
     if name == "csv":
         with (tmp_path / "metrics.csv").open() as file:
             rows = list(csv.DictReader(file))

@@ -16,7 +16,7 @@ from small_network import small_network
 from toys import TOYS
 
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.loggers import NoLogger
+from sdfgcn.loggers.files import NoLogger
 from sdfgcn.models.q_network import QNetwork
 
 SMALL = (
@@ -41,7 +41,9 @@ def train_in_child(overrides: tuple[str, ...], folder: Path) -> None:
     def keep(network: QNetwork) -> None:
         torch.save(network.state_dict(), folder / "kept.pt")
 
-    network = train(real_config(*overrides), folder, NoLogger(folder), small_network, keep)
+    config = real_config(*overrides)
+    logger = NoLogger(config.logger, folder)
+    network = train(config, folder, logger, small_network, keep)
     torch.save(network.state_dict(), folder / "network.pt")
 
 
@@ -120,7 +122,8 @@ def test_a_checkpoint_is_small(whole: Path) -> None:
 def go_on(folder: Path, *overrides: str) -> None:
     from sdfgcn.train.training import train
 
-    train(real_config(*SMALL, *overrides), folder, NoLogger(folder), small_network)
+    config = real_config(*SMALL, *overrides)
+    train(config, folder, NoLogger(config.logger, folder), small_network)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.01, 0.5])
