@@ -4,12 +4,12 @@ import numpy as np
 
 from sdfgcn.config import ArenaConfig, EnvConfig
 from sdfgcn.envs.records import EpisodeStart, Push, Snapshot, StepRecord
-from sdfgcn.geometry.camera import CameraModel
 from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.perception.sdf import SdfTransform
 from sdfgcn.registry import RECORDERS
-from sdfgcn.scene import Detections, Scene
-from sdfgcn.world import PushResult, Truth
+from sdfgcn.task.camera import CameraModel
+from sdfgcn.task.scene import Detections, Scene
+from sdfgcn.task.world import PushResult, Truth
 
 SIZE = 96
 ROWS = 4  # of every scene; the last is always empty

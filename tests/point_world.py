@@ -14,10 +14,10 @@ from tensordict import TensorDict
 
 from sdfgcn.config import EnvConfig
 from sdfgcn.envs.records import EpisodeStart, Push, Snapshot, StepRecord
-from sdfgcn.geometry.camera import camera_model
-from sdfgcn.push_space import PushSpace
-from sdfgcn.scene import Detections, Scene
-from sdfgcn.world import PushResult, Truth
+from sdfgcn.task.camera import camera_model
+from sdfgcn.task.push_space import PushSpace
+from sdfgcn.task.scene import Detections, Scene
+from sdfgcn.task.world import PushResult, Truth
 
 STEP = 0.06  # m
 NAMES = ("apple", "brick", "cup", "disc", "egg", "fork", "glove", "hat")

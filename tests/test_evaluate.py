@@ -15,10 +15,10 @@ from point_world import Endless, Notes, PointWorld
 
 from sdfgcn.agents import build_agent
 from sdfgcn.config import Config
-from sdfgcn.episodes import EpisodeResult
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.evaluate import Evaluation, evaluate, watch
-from sdfgcn.play import episode_seeds, play_episode
+from sdfgcn.evaluation.episodes import EpisodeResult
+from sdfgcn.evaluation.evaluate import Evaluation, evaluate, watch
+from sdfgcn.evaluation.play import episode_seeds, play_episode
 from sdfgcn.registry import LOGGERS, RECORDERS
 
 

@@ -17,7 +17,7 @@ from toys import TOYS, toy_env
 
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.loggers import NoLogger
-from sdfgcn.scene import Scene, scene_field
+from sdfgcn.task.scene import Scene, scene_field
 from sdfgcn.train.held_out import HeldOutCurve
 from sdfgcn.train.hindsight import relabelled
 from sdfgcn.train.mirror import mirrored

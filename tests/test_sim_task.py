@@ -9,11 +9,11 @@ from dm_control.mujoco import engine, wrapper
 from toys import BALL, BOX, CAN, SLAB, act, begin, lay_out
 
 from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.geometry.camera import camera_model
-from sdfgcn.push_space import PushPlan
 from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.arena import CAMERA, GROUP_SCENE
 from sdfgcn.sim.episode import draw_episode
+from sdfgcn.task.camera import camera_model
+from sdfgcn.task.push_space import PushPlan
 
 DIRECTIONS = 8
 

@@ -23,7 +23,7 @@ from sdfgcn.models.layers import (
 )
 from sdfgcn.models.q_network import QNetwork, spread_to_rows
 from sdfgcn.registry import MODELS
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 # Which positions a network can read of a scene, [*B, N, 2] in metres.
 POSITIONS: dict[str, Callable[[Scene], Tensor]] = {

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from sdfgcn.envs.records import Snapshot
-from sdfgcn.geometry.camera import CameraModel
+from sdfgcn.task.camera import CameraModel
 
 _FAR = 1e6  # a cost that loses against any real one
 

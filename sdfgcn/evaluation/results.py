@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sdfgcn.config import Config, QNetworkConfig
-from sdfgcn.episodes import EpisodeResult
+from sdfgcn.evaluation.episodes import EpisodeResult
 
 # What a result depends on, besides Python.
 _PACKAGES = (
