@@ -26,7 +26,7 @@ _PACKAGES = (
     "scikit-fmm",
     "hydra-core",
 )
-_ROOT = Path(__file__).resolve().parents[1]
+_ROOT = Path(__file__).resolve().parents[2]
 
 
 def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) -> dict[str, Any]:
