@@ -84,6 +84,7 @@ class RearrangementEnv(EnvBase):
 
             world = MujocoWorld(config)
         self.world = world
+        self.is_closed = False  # TorchRL's base class has nothing to close, and says True
         self._allowed = Region.range(arena)
         self.record = False
         self._episode_seed: int | None = None
