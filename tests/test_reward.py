@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from configs import real_config
 
-from sdfgcn.sim.reward import reward_terms
+from sdfgcn.envs.reward import reward_terms
 
 ZERO = {
     "progress": 0.0,
