@@ -97,6 +97,19 @@ def test_slots_follow_the_episode_not_the_catalogue(toys):
     assert rows[2] < min(rows[0], rows[1])  # y grows upwards
 
 
+def test_masks_follow_the_geom_to_slot_table(toys, monkeypatch):
+    lay_out(toys, [CAN, BOX, BALL], [(-0.15, 0.0), (0.15, 0.0), (0.0, 0.25)])
+    can, box, slab = toys.world.task._visuals[[CAN, BOX, SLAB]]
+    # The slab is not in this episode; -1 is "nothing there", and nothing shows the ball.
+    ids = np.array([[can, can, box], [slab, -1, slab], [box, can, -1]])
+    monkeypatch.setattr(toys.world.renderer, "geom_ids", lambda: ids)
+    masks = toys.world.look().true_masks()
+    assert masks.shape == (3, 3, 3)
+    assert masks[0].tolist() == [[True, True, False], [False] * 3, [False, True, False]]
+    assert masks[1].tolist() == [[False, False, True], [False] * 3, [True, False, False]]
+    assert not masks[2].any()
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_mask_centres_project_back_onto_the_objects(env_of: Envs, seed):
     env = env_of("robot=gripper", "n_objects=6")

@@ -80,6 +80,7 @@ class RearrangementEnv(EnvBase):
         self.push_space = PushSpace(config.push, arena)
         self._perception = perception(config.perception, config.max_objects)
         self.world: World = world or WORLDS.find(config.world.name)(config)
+        self.is_closed = False  # TorchRL's base class has nothing to close, and says True
         self._allowed = Region.range(arena)
         self.record = False
         self._episode_seed: int | None = None
