@@ -273,7 +273,8 @@ class Trainer:
             check_same_learning(self._folder / NAME, self._config)
             load_checkpoint(self._folder / NAME, self._parts())
             self._policy.load_weights(self.network)
-            if not self._collector_state:
+            goes_on = self._config.collector.name == "sync" and self._collector_state
+            if not goes_on:
                 self._progress.forget_episode()
                 self._hindsight.forget_episode()
         self._curve.go_on_from(self._progress.pushes)
