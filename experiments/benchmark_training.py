@@ -25,12 +25,8 @@ from typing import Any
 from common import load, parse, provenance, save
 from learning_curve import read
 
-<<<<<<< HEAD
 from sdfgcn.loggers.files import NoLogger
-=======
-from sdfgcn.loggers import NoLogger
 from sdfgcn.train.training import q_network, train
->>>>>>> tests2
 
 CASES: tuple[tuple[str, int], ...] = (("sync", 0), ("async", 1), ("async", 2), ("async", 3))
 LOG_PUSHES = 100  # pushes between two looks at the clock
