@@ -34,12 +34,12 @@ import mujoco
 import numpy as np
 import torch
 from common import file_name, load, parse, provenance, save
+from sdfgcn.perception.push_start import PushPlanner
 from tqdm import tqdm
 
 import sdfgcn.envs.rearrangement as rearrangement
 from sdfgcn.config import Config
 from sdfgcn.perception.matching import Matcher
-from sdfgcn.perception.push_start import PushPlanner
 from sdfgcn.perception.sdf import forget_distances
 from sdfgcn.registry import ROBOTS, SEGMENTERS
 from sdfgcn.sim.renderer import Renderer

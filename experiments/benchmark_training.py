@@ -5,7 +5,7 @@
 
 Trains anew in each case and writes `results/benchmark_training.json`. Rates are by the wall clock,
 from the first update on, so run it on a quiet machine; each row tells how many updates a push got,
-since actors and learner wait for each other where one is far ahead
+since who pushes and who learns wait for each other where one is far ahead
 (`train.utd_ratio`, `train.max_utd_ratio`).
 """
 
@@ -14,7 +14,6 @@ from __future__ import annotations
 import os
 import sys
 
-os.environ.setdefault("MUJOCO_GL", "egl")
 os.environ.setdefault("LP_NUM_THREADS", "0")  # software OpenGL: render in this thread
 for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(threads, "1")
@@ -26,8 +25,12 @@ from typing import Any
 from common import load, parse, provenance, save
 from learning_curve import read
 
+<<<<<<< HEAD
+from sdfgcn.loggers.files import NoLogger
+=======
 from sdfgcn.loggers import NoLogger
-from sdfgcn.train.loop import q_network, train
+from sdfgcn.train.training import q_network, train
+>>>>>>> tests2
 
 CASES: tuple[tuple[str, int], ...] = (("sync", 0), ("async", 1), ("async", 2), ("async", 3))
 LOG_PUSHES = 100  # pushes between two looks at the clock
@@ -43,7 +46,7 @@ def measure(overrides: list[str], collector: str, workers: int, seconds: int) ->
         ]
     )
     with tempfile.TemporaryDirectory() as folder:
-        train(config, Path(folder), NoLogger(Path(folder)), q_network)
+        train(config, Path(folder), NoLogger(config.logger, Path(folder)), q_network)
         rows = [row for row in read(Path(folder)) if row["updates"] > 0]
     if len(rows) < 2:
         raise SystemExit(

@@ -9,15 +9,15 @@ from typing import Any
 
 from sdfgcn.compose import load_config
 from sdfgcn.config import Config
+from sdfgcn.evaluation.results import git_state, versions
 from sdfgcn.files import write_json
-from sdfgcn.results import git_state, versions
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "experiments" / "results"
 
 
 def load(overrides: Sequence[str]) -> Config:
-    """The experiment's config with overrides as on the command line of `run.py`."""
+    """The experiment's config with overrides as on the command line of `sdfgcn`."""
     return load_config(*overrides)
 
 

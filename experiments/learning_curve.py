@@ -20,8 +20,8 @@ from pathlib import Path
 from table import arguments_of, publish
 
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.files import write_text
-from sdfgcn.report import decimal, markdown_table, percent
+from sdfgcn.evaluation.report import decimal, markdown_table, percent
+from sdfgcn.files import replaced, write_text
 
 Row = dict[str, float]
 
@@ -99,7 +99,8 @@ def draw(rows: list[Row], file: Path) -> None:
     axes[0].legend()
     axes[1].plot(minutes, [row["loss"] for row in rows], label="loss")
     axes[1].set(xlabel="minutes", ylabel="loss", ylim=(0, None))
-    figure.savefig(file, dpi=100)
+    with replaced(file) as part:
+        figure.savefig(part, dpi=100)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -21,16 +21,16 @@ import numpy as np
 from common import RESULTS, file_name, load, provenance, save
 from numpy.typing import NDArray
 from pictures import Picture, outlined, save_png, sheet, titled
+from sdfgcn.envs.types import Scene as Seen
+from sdfgcn.perception.perception import detected
 from tqdm import tqdm
 
 from sdfgcn.config import Config, EnvConfig
 from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.envs.types import Scene as Seen
+from sdfgcn.evaluation.report import percent
+from sdfgcn.evaluation.results import wilson
 from sdfgcn.files import write_json, write_text
 from sdfgcn.perception.matching import Matcher
-from sdfgcn.perception.perception import detected
-from sdfgcn.report import percent
-from sdfgcn.results import wilson
 from sdfgcn.sim.episode import draw_episode
 
 SCENES = 500  # of each number of objects

@@ -4,6 +4,6 @@
 class SdfgcnError(Exception):
     """A mistake the user can mend, told in one sentence.
 
-    The sentence says what is wrong, the value seen and what would work. `run.py` prints it on
-    stderr without a traceback and exits with code 1.
+    The sentence says what is wrong, the value seen and what would work. The command `sdfgcn`
+    prints it on stderr without a traceback and exits with code 1.
     """

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+from contextlib import closing
 from dataclasses import asdict, replace
 from typing import Any
 
 from sdfgcn.config import Config, QNetworkConfig
-from sdfgcn.evaluate import Evaluation, evaluate, watch
+from sdfgcn.evaluation.evaluate import Evaluation, HeldOutEvaluation, evaluate, watch
+from sdfgcn.evaluation.results import summarise
 from sdfgcn.loggers import Logger
 from sdfgcn.registry import LOGGERS, RECORDERS
-from sdfgcn.results import summarise
 from sdfgcn.run_folder import RunFolder
 
 
@@ -30,7 +31,7 @@ def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
     from sdfgcn.objects.catalogue import load_catalogue  # loads MuJoCo: it fails without OpenGL
 
     load_catalogue(config.env.objects, config.env.split)  # once, before workers would each do it
-    logger = LOGGERS.find(config.logger.name)(folder.path)
+    logger = LOGGERS.find(config.logger.name)(config.logger, folder.path)
     if isinstance(config.model, QNetworkConfig):
         config = with_policy(config, folder, logger)
     evaluation = Evaluation(
@@ -55,7 +56,7 @@ def with_policy(config: Config, folder: RunFolder, logger: Logger) -> Config:
         logger: Takes the training's figures.
 
     Raises:
-        SdfgcnError: The checkpoint given is no policy; or see `sdfgcn.train.loop.train`.
+        SdfgcnError: The checkpoint given is no policy; or see `sdfgcn.train.training.train`.
     """
     from sdfgcn.agents.policy import RELEASED, find_policy  # loads torch
 
@@ -68,7 +69,8 @@ def with_policy(config: Config, folder: RunFolder, logger: Logger) -> Config:
     about = policy / "policy.json"
     budget = asdict(config.budget)
     if not about.exists() or json.loads(about.read_text(encoding="utf-8"))["budget"] != budget:
-        from sdfgcn.train.loop import train_policy
+        from sdfgcn.train.training import train_policy
 
-        train_policy(config, folder.path, policy, logger)
+        with closing(HeldOutEvaluation(config)) as held_out:
+            train_policy(config, folder.path, policy, logger, held_out)
     return replace(config, checkpoint=str(policy))

@@ -83,19 +83,14 @@ class CsvTable:
         if not self._path.exists():
             return []
         text = self._path.read_text(encoding="utf-8")
-        head, *rows = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1]))) or [[]]
-        if head and tuple(head) != self._columns:
+        lines = list(csv.reader(io.StringIO(text[: text.rfind("\n") + 1])))
+        uneven = any(len(cells) != len(self._columns) for cells in lines)
+        if uneven or (lines and tuple(lines[0]) != self._columns):
             raise SdfgcnError(
-                f"{self._path} has the columns {','.join(head)}, but {','.join(self._columns)} are "
-                "needed; remove it or use another folder."
+                f"{self._path} is not a table with the columns {','.join(self._columns)}; remove "
+                "it or use another folder."
             )
-        for line, row in enumerate(rows, start=2):
-            if len(row) != len(self._columns):
-                raise SdfgcnError(
-                    f"{self._path} has {len(row)} cells in line {line}, but {len(self._columns)} "
-                    "are needed; remove it or use another folder."
-                )
-        return [dict(zip(self._columns, row, strict=True)) for row in rows]
+        return [dict(zip(self._columns, cells, strict=True)) for cells in lines[1:]]
 
     def append(self, *rows: Mapping[str, Any]) -> None:
         """Add rows at the end; they are in the file when this returns."""

@@ -22,8 +22,8 @@ from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 
 from sdfgcn.config.diff import differences, flat
-from sdfgcn.episodes import EpisodeResult, EpisodeTable
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.evaluation.episodes import EpisodeResult, EpisodeTable
 from sdfgcn.files import write_json, write_text
 
 # Keys that change how a run is executed or shown, not what its episodes are.
@@ -129,7 +129,6 @@ class RunFolder:
             self._check_same_experiment(len(earlier))
             self._earlier_s = _earlier_seconds(self.path / "status.json")
             self._n_episodes = len(earlier)
-            self._table.write(earlier)  # without the half line of a killed process
         (self.path / "results.json").unlink(missing_ok=True)
         write_text(self.path / "config.yaml", OmegaConf.to_yaml(self._cfg, resolve=True))
         self._write_status(

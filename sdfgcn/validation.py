@@ -82,7 +82,7 @@ def _set_type(
     for key in path.split("."):
         component = component.get(key) if isinstance(component, dict) else None
     if isinstance(component, dict):
-        component_type = registry.config_type(component.get("name"))
+        component_type = registry.config_type(str(component.get("name")))
         OmegaConf.update(schema, path, component_type, merge=False, force_add=True)
 
 
@@ -160,7 +160,7 @@ def _validate_env(config: Config) -> None:
             f"env.physics.timestep ({env.physics.timestep})."
         )
     for component in (
-        *(env.objects, env.robot, env.scenario),
+        *(env.world, env.objects, env.robot, env.scenario),
         *(env.perception, env.perception.encoder, env.perception.segmentation),
     ):
         component.check(config)
@@ -263,8 +263,8 @@ def validate_segmentation_training(config: SegmentationTrainingConfig) -> None:
     fewest, most = arrangements.n_objects
     if not 1 <= fewest <= most:
         raise SdfgcnError(
-            f"arrangements.n_objects is {arrangements.n_objects}, but must be two numbers from 1 on, the "
-            "smaller first."
+            f"arrangements.n_objects is {arrangements.n_objects}, but must be two numbers from 1 "
+            "on, the smaller first."
         )
     if not config.catalogues:
         raise SdfgcnError("catalogues is empty, but at least one object catalogue is needed.")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from functools import cache
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo loads: render without a display
+import sdfgcn  # noqa: F401 - sets MUJOCO_GL, which MuJoCo reads when it loads
 
 if TYPE_CHECKING:
     from sdfgcn.envs.rearrangement import RearrangementEnv

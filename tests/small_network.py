@@ -1,37 +1,34 @@
-"""A Q-network of one linear layer, quick enough to train in tests."""
+"""A Q-network of one hidden layer, quick enough to train in tests."""
 
 from __future__ import annotations
 
 import torch
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
-from torch import nn
+from torch import Tensor, nn
 
-from sdfgcn.config import N_DIRECTIONS, Config
+from sdfgcn.config import Config, QNetworkConfig
+from sdfgcn.models.q_network import QNetwork
+from sdfgcn.task.scene import Scene
 
 
-class SmallNetwork(TensorDictModuleBase):
-    """Values of each object's 8 directions from its offset to the goal and its shrunken SDF."""
+class SmallNetwork(QNetwork):
+    """Values each object's pushes by its offset to the goal and its shrunken SDFs."""
 
-    in_keys = ("sdf", "goal_sdf", "position", "goal_position")
-    out_keys = ("action_value",)
-
-    def __init__(self) -> None:
-        super().__init__()
+    def __init__(
+        self, config: QNetworkConfig, n_directions: int, max_objects: int, image_size: int
+    ) -> None:
+        super().__init__(config, n_directions, max_objects, image_size)
         self.hidden = nn.Linear(2 + 2 * 9, 32)
-        self.values = nn.Linear(32, N_DIRECTIONS)
+        self.values = nn.Linear(32, n_directions)
 
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        pictures = [
-            tensordict[key][..., 16::32, 16::32].flatten(-2) / 100.0 for key in ("sdf", "goal_sdf")
-        ]
-        offset = 10.0 * (tensordict["goal_position"] - tensordict["position"])
-        hidden = torch.relu(self.hidden(torch.cat([offset, *pictures], dim=-1)))
-        tensordict["action_value"] = self.values(hidden).flatten(-2)
-        return tensordict
+    def action_values(self, scene: Scene, goal: Scene, matched: Tensor) -> Tensor:
+        pictures = [each.sdf[..., 16::32, 16::32].flatten(-2) / 100.0 for each in (scene, goal)]
+        offset = 10.0 * (goal.position - scene.position)
+        return self.values(torch.relu(self.hidden(torch.cat([offset, *pictures], dim=-1))))
 
 
 def small_network(config: Config, max_objects: int) -> SmallNetwork:
+    assert isinstance(config.model, QNetworkConfig)
+    size, n_directions = config.env.arena.image_size, config.env.push.directions
     with torch.random.fork_rng():
         torch.manual_seed(config.seed)
-        return SmallNetwork()
+        return SmallNetwork(config.model, n_directions, max_objects, size)

@@ -27,10 +27,10 @@ from sdfgcn.config import (
     RewardConfig,
 )
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.geometry.camera import camera_model
 from sdfgcn.perception.base import Perception
 from sdfgcn.registry import PERCEPTIONS
-from sdfgcn.world import PushCommand, PushResult
+from sdfgcn.task.camera import camera_model
+from sdfgcn.task.world import PushCommand, PushResult
 
 STEP = 0.06  # m that a push moves a square
 HALF = 3  # pixels, half a side
@@ -143,7 +143,7 @@ if __name__ == "__main__":
 
     from sdfgcn.agents import build_agent
     from sdfgcn.envs.rearrangement import RearrangementEnv
-    from sdfgcn.evaluate import play_episode
+    from sdfgcn.evaluation.evaluate import play_episode
 
     PERCEPTIONS.register("squares")(SquarePerception)
     config = square_config()

@@ -19,9 +19,9 @@ import perception_matching as matching  # noqa: E402
 import perception_readme as readme  # noqa: E402
 import perception_segmentation as segmentation  # noqa: E402
 import pictures  # noqa: E402
+from sdfgcn.envs.types import Scene as Seen  # noqa: E402
 
 from sdfgcn.envs.rearrangement import RearrangementEnv  # noqa: E402
-from sdfgcn.envs.types import Scene as Seen  # noqa: E402
 from sdfgcn.errors import SdfgcnError  # noqa: E402
 from sdfgcn.segmentation.metrics import MaskScores, Score  # noqa: E402
 

@@ -57,18 +57,12 @@ def test_half_a_line_goes_before_the_next(table: CsvTable, tmp_path: Path) -> No
     assert (tmp_path / "a.csv").read_text() == "name,value\na,1\nc,3\n"
 
 
-@pytest.mark.parametrize(
-    ("text", "told"),
-    [
-        ("a,b\n1,2\n", "has the columns a,b, but name,value are needed"),
-        ("name,value\na,1\nb\n", "has 1 cells in line 3, but 2 are needed"),
-    ],
-)
-def test_a_foreign_table_is_refused(text: str, told: str, table: CsvTable, tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", ["a,b\n1,2\n", "name,value\na,1\nb\n", "\n"])
+def test_a_foreign_table_is_refused(text: str, table: CsvTable, tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text(text)
-    with pytest.raises(SdfgcnError, match=told):
+    with pytest.raises(SdfgcnError, match=r"a\.csv is not a table with the columns name,value"):
         table.read()
-    with pytest.raises(SdfgcnError, match=told):
+    with pytest.raises(SdfgcnError, match=r"a\.csv is not a table with the columns name,value"):
         table.append({"name": "a", "value": 1})
     assert (tmp_path / "a.csv").read_text() == text
 

@@ -11,7 +11,7 @@ sys.path.insert(0, str(ROOT / "experiments"))
 
 import learning_curve  # noqa: E402
 
-from sdfgcn.train.progress import TrainTable  # noqa: E402
+from sdfgcn.files import CsvTable  # noqa: E402
 
 
 def row(minute: float, **news: float) -> dict[str, float]:
@@ -28,10 +28,8 @@ def folder(tmp_path: Path) -> Path:
     """A training's folder with a row a minute."""
     folder = tmp_path / "run"
     folder.mkdir()
-    table = TrainTable(folder / "train.csv")
-    table.cut(0)
-    for minute in range(1, 21):
-        table.append(row(minute, success_rate=minute / 20))
+    rows = [row(minute, success_rate=minute / 20) for minute in range(1, 21)]
+    CsvTable(folder / "train.csv", list(rows[0])).write(rows)
     return folder
 
 

@@ -162,7 +162,12 @@ def test_an_object_that_vanishes_costs_its_penalty(scripted):
 
 @pytest.mark.parametrize(
     ("goal_change", "rows", "matches"),
-    [(lose_one, [1, 2], 2), (merge_two, [0, 2], 2), (split_one, [0, 1, 2, 3], 3), (lose_all, [], 0)],
+    [
+        (lose_one, [1, 2], 2),
+        (merge_two, [0, 2], 2),
+        (split_one, [0, 1, 2, 3], 3),
+        (lose_all, [], 0),
+    ],
 )
 def test_wrong_masks_of_the_goal(scripted, goal_change, rows, matches):
     scripted._perception.goal_change = goal_change

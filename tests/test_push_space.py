@@ -9,7 +9,7 @@ from configs import real_config
 
 from sdfgcn.config import ArenaConfig, PushConfig
 from sdfgcn.perception.sdf import SdfTransform
-from sdfgcn.push_space import PushPlan, PushSpace
+from sdfgcn.task.push_space import PushPlan, PushSpace
 
 SIZE = 96
 PIXEL = 0.005  # metres on the table, under the camera of these tests

@@ -6,8 +6,8 @@ from configs import real_config
 
 from sdfgcn.envs.reward import reward_terms
 from sdfgcn.envs.standing import nearest_objects, seen_standing, true_standing
-from sdfgcn.geometry.region import Region
-from sdfgcn.scene import Detections, Scene
+from sdfgcn.task.region import Region
+from sdfgcn.task.scene import Detections, Scene
 
 NAN = float("nan")
 

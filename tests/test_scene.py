@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from sdfgcn.perception.sdf import SdfTransform
-from sdfgcn.scene import Detections, Scene, scene_field
+from sdfgcn.task.scene import Detections, Scene, scene_field
 
 N, SIZE = 4, 8
 ROWS = np.array([False, True, False, True])

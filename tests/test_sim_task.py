@@ -9,11 +9,11 @@ from dm_control.mujoco import engine, wrapper
 from toys import BALL, BOX, CAN, SLAB, act, begin, lay_out
 
 from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.geometry.camera import camera_model
-from sdfgcn.push_space import PushPlan
 from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.arena import CAMERA, GROUP_SCENE
 from sdfgcn.sim.episode import draw_episode
+from sdfgcn.task.camera import camera_model
+from sdfgcn.task.push_space import PushPlan
 
 DIRECTIONS = 8
 
@@ -247,7 +247,9 @@ def test_hidden_object_does_not_shift_the_others(toys, monkeypatch):
     places = [(-0.1, 0.1), (0.1, 0.1), (0.0, 0.25)]
     td = lay_out(toys, [BOX, BALL, CAN], places)
     hidden = toys.world.task._visuals[BOX]
-    monkeypatch.setattr(toys.world.renderer, "geom_ids", lambda: np.where(seen() == hidden, -1, seen()))
+    monkeypatch.setattr(
+        toys.world.renderer, "geom_ids", lambda: np.where(seen() == hidden, -1, seen())
+    )
     poses = toys.world.poses()
     td = act(toys, td, 63)  # nothing moves; the picture is taken anew
     assert toys.last_step.reward_terms["vanished"] == -0.5

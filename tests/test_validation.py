@@ -26,7 +26,7 @@ def refusal(*overrides: str) -> str:
             "There is no key 'env.robot.stiffness'; it belongs to another option of its group.",
         ),
         ("env.robot.name=claw", "env.robot.name is 'claw', but must be one of gripper, ur5e."),
-        ("seed=${gone}", "Interpolation key 'gone' not found."),
+        ("seed=${gone}", "seed: Interpolation key 'gone' not found."),
     ],
 )
 def test_keys_and_types(override: str, told: str) -> None:

@@ -22,7 +22,7 @@ from sdfgcn.agents import build_agent
 from sdfgcn.config import Config
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.evaluate import play_episode
+from sdfgcn.evaluation.evaluate import play_episode
 from sdfgcn.registry import PERCEPTIONS, RECORDERS
 
 RIGHT, UP, LEFT = 0, 2, 4

@@ -26,6 +26,7 @@ from sdfgcn.config.env import (
     RobotConfig,
     ScenarioConfig,
     SegmentationConfig,
+    WorldConfig,
 )
 from sdfgcn.config.experiment import (
     Config,
@@ -76,6 +77,7 @@ __all__ = [
     "SegmentationTrainingConfig",
     "TrainConfig",
     "VizConfig",
+    "WorldConfig",
     "check_above_zero",
     "check_at_least",
     "check_choice",

@@ -56,7 +56,7 @@ class RuntimeConfig:
 
 @dataclass
 class Config:
-    """The whole experiment, as `python run.py --cfg job` prints it."""
+    """The whole experiment, as `sdfgcn --cfg job` prints it."""
 
     seed: int = MISSING
     n_objects: int = MISSING

@@ -30,9 +30,9 @@ def reward_terms(
         none_left: No object is detected any more.
 
     Returns:
-        `progress`: weight * sum of (before - after), where both are known. `step`: cost of a push. `floor`: what lifts
-        progress and step to the lower bound. `success`, `out_of_range`, `vanished`,
-        `none_left`: once, when it happens.
+        `progress`: weight * sum of (before - after), where both are known. `step`: cost of a push.
+        `floor`: what lifts progress and step to the lower bound. `success`, `out_of_range`,
+        `vanished`, `none_left`: once, when it happens.
     """
     progress = config.progress * float(np.nansum(before - after))
     return {

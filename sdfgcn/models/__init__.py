@@ -52,8 +52,8 @@ def build_q_network(
     config.check_network(image_size)
     if isinstance(generator, int):
         generator = torch.Generator().manual_seed(generator)
-    with torch.device("meta"):  # else torch would draw weights from its global generator
+    with torch.random.fork_rng(devices=[]):  # layers draw first weights from the global generator
+        torch.manual_seed(generator.initial_seed())
         network = build(config, n_directions, max_objects, image_size)
-    network.to_empty(device="cpu")
     initialise(network, generator)
     return network.to(device)

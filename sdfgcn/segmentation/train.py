@@ -1,7 +1,8 @@
 """Train the segmentation network: `python -m sdfgcn.segmentation.train KEY=VALUE ...`.
 
-`conf/train_segmentation.yaml` has the keys. The folder `out` holds the config, a checkpoint, `metrics.csv`
-and, in the end, `ucn.safetensors`; the same folder goes on with a training that was cut off.
+`conf/train_segmentation.yaml` has the keys. The folder `out` holds the config, a checkpoint,
+`metrics.csv` and, in the end, `ucn.safetensors`; the same folder goes on with a training that was
+cut off.
 """
 
 from __future__ import annotations

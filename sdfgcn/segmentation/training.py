@@ -20,6 +20,7 @@ from sdfgcn.config.diff import differences, flat
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import CsvTable, replaced, write_json
 from sdfgcn.objects.catalogue import load_catalogue
+from sdfgcn.perception.segmenters.config import UCNConfig
 from sdfgcn.perception.segmenters.network import UCN
 from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
 from sdfgcn.segmentation.augment import augmented
@@ -75,7 +76,7 @@ def train(config: SegmentationTrainingConfig, folder: Path) -> Path:
             write_json(folder / "config.json", asdict(config))
             training.run(load_pictures(config), validation_views(config))
             weights = folder / "ucn.safetensors"
-            save_network(training.network, config.env.perception.segmentation, weights)
+            save_network(training.network, _ucn(config), weights)
             return weights
     except Timeout:
         raise SdfgcnError(
@@ -95,7 +96,7 @@ class Training:
         self._config, self._folder = config, folder
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
-            self.network: UCN = make_network(config.env.perception.segmentation)
+            self.network: UCN = make_network(_ucn(config))
         self._optimiser = torch.optim.AdamW(
             self.network.parameters(), lr=config.learning_rate, weight_decay=config.weight_decay
         )
@@ -138,7 +139,7 @@ class Training:
             labels,
             config.pull,
             config.push,
-            config.env.perception.segmentation.min_pixels,
+            _ucn(config).min_pixels,
         )
         self._optimiser.zero_grad()
         (pull + push).backward()
@@ -156,7 +157,7 @@ class Training:
 
     def _row(self, recent: list[tuple[float, float]], scenes: list[Example]) -> dict[str, float]:
         """What `metrics.csv` says about the updates since its last row."""
-        segmenter = UCNSegmenter(self._config.env.perception.segmentation, self.network.eval())
+        segmenter = UCNSegmenter(_ucn(self._config), self.network.eval())
         scores = summary([scores for _, _, scores in score(segmenter, scenes)])
         self.network.train()
         pull, push = np.mean(recent, axis=0)
@@ -249,3 +250,9 @@ def _binds(key: str) -> bool:
     if key.startswith(_SEGMENTATION):
         return key in _BINDING
     return key not in _FREE_KEYS
+
+
+def _ucn(config: SegmentationTrainingConfig) -> UCNConfig:
+    segmentation = config.env.perception.segmentation
+    assert isinstance(segmentation, UCNConfig)
+    return segmentation

@@ -11,9 +11,9 @@ from dm_control import mjcf
 from numpy.typing import NDArray
 
 from sdfgcn.config import ArenaConfig, PushConfig
-from sdfgcn.geometry.region import Region
 from sdfgcn.sim.robots.robot import Robot, Unreachable
-from sdfgcn.world import PushCommand, PushResult
+from sdfgcn.task.region import Region
+from sdfgcn.task.world import PushCommand, PushResult
 
 NEGLIGIBLE = 0.1  # rad/s2 or m/s2 of a drive, for which no feed-forward is worked out
 
@@ -72,8 +72,8 @@ class PushPrimitive:
     def _free(self, physics: mjcf.Physics, path: _Path) -> bool:
         """Whether the robot can go along a path without touching a prop.
 
-        It is put at every other waypoint, and nothing moves: the props lie still while the tool comes
-        down. What the tool passes in between, its shaft touches further down.
+        It is put at every other waypoint, and nothing moves: the props lie still while the tool
+        comes down. What the tool passes in between, its shaft touches further down.
         """
         model, data = physics.model.ptr, physics.data.ptr
         for joints in path.joints[::-2]:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from sdfgcn.config import EnvConfig, HerConfig
 from sdfgcn.envs.reward import reward_terms
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 
 class Hindsight:
@@ -79,14 +79,15 @@ class Hindsight:
         """Write the episode that is going on, for a checkpoint."""
         episode = [*self._carried, *(push for pushes in self._open.values() for push in pushes)]
         if episode:
-            torch.stack(episode).contiguous().memmap(path / "episode", robust_key=True)
+            stacked: TensorDictBase = torch.stack(episode)  # type: ignore[assignment, arg-type]
+            stacked.contiguous().memmap(path / "episode")
 
     def load(self, path: Path) -> None:
         """Go on with the episode that a checkpoint kept."""
         self._open.clear()
         self._carried = []
         if (path / "episode").exists():
-            episode = TensorDict.load_memmap(path / "episode", robust_key=True)
+            episode = TensorDict.load_memmap(path / "episode")
             self._carried = list(episode.clone().unbind(0))
 
     def forget_episode(self) -> None:
@@ -112,8 +113,9 @@ def relabelled(
     """
     scene, outcome = pushes["scene"], pushes["next", "scene"]
     offsets = outcome.position - scene.position
-    rows = (offsets.norm(dim=-1) > min_displacement) & scene.node_mask & pushes["matched"]
-    rows &= achieved["scene"].node_mask
+    rows = offsets.norm(dim=-1) > min_displacement
+    for moment in (pushes, pushes["next"], achieved):  # else a row may show another object there
+        rows &= moment["matched"]
     some = rows.any(dim=-1) & (scene.node_mask == outcome.node_mask).all(dim=-1)
     if not some.any():
         return None

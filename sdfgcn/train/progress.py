@@ -24,21 +24,6 @@ COLUMNS = (
 _AVERAGED = ("success_rate", "out_of_range_rate", "episode_pushes", "return", "loss")
 
 
-class TrainTable:
-    """`train.csv`: one row every `train.log_pushes` pushes."""
-
-    def __init__(self, path: Path) -> None:
-        self._table = CsvTable(path, COLUMNS)
-
-    def cut(self, pushes: int) -> None:
-        """Keep the rows up to this many pushes; the pushes after them are made again."""
-        self._table.keep(lambda row: int(row["pushes"]) <= pushes)
-
-    def append(self, figures: dict[str, float]) -> None:
-        """Add a row; it is in the file when this returns."""
-        self._table.append({name: _plain(value) for name, value in figures.items()})
-
-
 class Progress:
     """Counts pushes and episodes, averages recent figures, and shows and logs them."""
 
@@ -53,7 +38,7 @@ class Progress:
         self.pushes = self.episodes = 0
         self._earlier_s = 0.0  # spent before the checkpoint that this training goes on from
         self._began = time.monotonic()
-        self._table = TrainTable(folder / "train.csv")
+        self._table = CsvTable(folder / "train.csv", COLUMNS)
         self._logger = logger
         self._log_pushes = log_pushes
         self._recent = {name: deque[float](maxlen=WINDOW) for name in _AVERAGED}
@@ -75,7 +60,7 @@ class Progress:
             minutes: Minutes at which the training ends if that is sooner; shown as well.
         """
         self._minutes = minutes
-        self._table.cut(self.pushes)
+        self._table.keep(lambda row: int(row["pushes"]) <= self.pushes)
         self._began = time.monotonic()  # leaves out the time that building all parts took
         self._last_row = (self._began, self.pushes, updates)
         self._bar = tqdm(total=total, initial=self.pushes, unit="push", disable=None)
@@ -139,7 +124,7 @@ class Progress:
         )
         self._bar.update(self.pushes - self._bar.n)
         if self.pushes // self._log_pushes > last_pushes // self._log_pushes:
-            self._table.append(figures)
+            self._table.append({name: _plain(value) for name, value in figures.items()})
             self._logger.log(
                 self.pushes, {f"train/{name}": float(value) for name, value in figures.items()}
             )
@@ -163,8 +148,8 @@ class Progress:
             values.extend(map(float, state["recent"][name]))
         self._carried = float(state["running"])
 
-    def new_episodes(self) -> None:
-        """Forget the unfinished episode of the checkpoint: the actors start new ones."""
+    def forget_episode(self) -> None:
+        """Forget the unfinished episode of the checkpoint: the collectors begin new ones."""
         self._carried = 0.0
 
 

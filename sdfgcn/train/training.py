@@ -24,7 +24,7 @@ from sdfgcn.loggers import Logger
 from sdfgcn.models import build_q_network, q_networks
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.objects.catalogue import load_catalogue
-from sdfgcn.push_space import PushSpace
+from sdfgcn.task.push_space import PushSpace
 from sdfgcn.train.checkpoint import NAME, checkpoint_config, load_checkpoint, save_checkpoint
 from sdfgcn.train.collectors import CollectorSpec, build_collector
 from sdfgcn.train.curriculum import Curriculum, ObjectCountSampler
@@ -75,7 +75,7 @@ def train(
         The trained network, with the average of its weights over the last updates, on the CPU.
 
     Raises:
-        SdfgcnError: The checkpoint is damaged or of another experiment, or the device is missing.
+        SdfgcnError: The checkpoint is damaged or of another experiment.
     """
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every storage it makes
     threads = torch.get_num_threads()
@@ -175,7 +175,8 @@ class Trainer:
 
     def run(self) -> None:
         """Train to the end of the budget."""
-        self._progress.open(self._config.budget.pushes, self._config.budget.minutes)
+        budget = self._config.budget
+        self._progress.open(self._learner.updates, budget.pushes, budget.minutes)
         while not self._finished():
             collected = self._collector.collect(meanwhile=self._update_within_limit)
             self._remember(collected)
@@ -272,7 +273,8 @@ class Trainer:
             check_same_learning(self._folder / NAME, self._config)
             load_checkpoint(self._folder / NAME, self._parts())
             self._policy.load_weights(self.network)
-            if not self._collector_state:
+            goes_on = self._config.collector.name == "sync" and self._collector_state
+            if not goes_on:
                 self._progress.forget_episode()
                 self._hindsight.forget_episode()
         self._curve.go_on_from(self._progress.pushes)

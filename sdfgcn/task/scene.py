@@ -89,7 +89,7 @@ def scene_field(
     return dataclasses.field(metadata={"scene": SceneField(of, shape, dtype, mirror, as_mask)})
 
 
-class Scene(TensorClass["nocast"]):  # type: ignore[misc]
+class Scene(TensorClass["nocast"]):  # type: ignore[misc, name-defined]
     """What one picture shows; rows without a detected object are zero.
 
     Attributes:

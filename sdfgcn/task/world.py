@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sdfgcn.geometry.camera import CameraModel
+from sdfgcn.task.camera import CameraModel
 
 if TYPE_CHECKING:
     from sdfgcn.objects.model import ObjectModel
@@ -88,13 +88,15 @@ class World(Protocol):
 
     Attributes:
         camera: Takes every picture.
-        n_objects: Objects of the running episode.
         truth: What is known of the running episode besides pictures; None in a real world.
     """
 
     camera: CameraModel
-    n_objects: int
     truth: Truth | None
+
+    @property
+    def n_objects(self) -> int:
+        """Objects of the running episode."""
 
     def reset(self, seed: int, n_objects: int) -> None:
         """Begin the episode that the seed stands for, with the objects at its start.

@@ -9,60 +9,28 @@ from __future__ import annotations
 import atexit
 import multiprocessing
 import os
-import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing.synchronize import Event
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from tqdm import tqdm
 
 from sdfgcn.config import Config, EnvConfig
-from sdfgcn.episodes import EpisodeResult
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.evaluation.episodes import EpisodeResult
+from sdfgcn.evaluation.play import Env, Recorder, episode_seeds, play_episode
 from sdfgcn.loggers import Logger
 from sdfgcn.processes import follow_parent
 
 # What loads torch is imported where it is used: the main process of parallel workers needs none.
 if TYPE_CHECKING:
-    from tensordict import TensorDictBase
-    from torch import Tensor
-
-    from sdfgcn.agents.epsilon_greedy import EpsilonGreedy
-    from sdfgcn.envs.records import EpisodeStart, StepRecord
-
-
-class Env(Protocol):
-    """What an evaluation needs of an environment (sdfgcn/envs)."""
-
-    record: bool
-    episode_start: EpisodeStart
-    last_step: StepRecord
-
-    def reset_episode(self, seed: int) -> TensorDictBase:
-        """Begin the episode that the seed and the config define."""
-
-    def step(self, td: TensorDictBase) -> TensorDictBase:
-        """Execute `td["action"]`; what follows stands under "next"."""
-
-    def close(self) -> Any:
-        """Free the simulation."""
-
-
-class Recorder(Protocol):
-    """What an evaluation needs of a recorder (sdfgcn/viz)."""
-
-    def start(self, episode: EpisodeStart) -> None:
-        """Take the start of an episode."""
-
-    def step(self, step: StepRecord) -> None:
-        """Take one push."""
-
+    from sdfgcn.models.q_network import QNetwork
 
 MakeEnv = Callable[[EnvConfig], Env]
 MakeRecorder = Callable[[Path, EnvConfig], AbstractContextManager[Recorder]]
@@ -90,24 +58,6 @@ class Evaluation:
     recordings: Path
     make_recorder: MakeRecorder
     make_env: MakeEnv = make_rearrangement
-
-
-class EpisodeStoppedError(Exception):
-    """The run ended while this episode was being played."""
-
-
-def episode_seeds(seed: int, episode: int) -> tuple[int, np.random.Generator]:
-    """Derive one episode's randomness from the evaluation's seed.
-
-    Args:
-        seed: The evaluation's seed.
-        episode: The episode's index, from 0.
-
-    Returns:
-        The environment's seed, below 2**32, and the agent's generator.
-    """
-    for_env, for_agent = np.random.SeedSequence(seed, spawn_key=(episode,)).spawn(2)
-    return int(for_env.generate_state(1)[0]), np.random.default_rng(for_agent)
 
 
 def evaluate(evaluation: Evaluation, finished: Iterable[int] = ()) -> Iterator[EpisodeResult]:
@@ -162,65 +112,49 @@ def watch(
             yield episode
 
 
-def play_episode(
-    env: Env,
-    agent: EpsilonGreedy,
-    episode: int,
-    seed: int,
-    recorder: Recorder | None = None,
-    stopped: Callable[[], bool] = lambda: False,
-) -> EpisodeResult:
-    """Play one episode to its end.
+class HeldOutEvaluation:
+    """Greedy episodes of a network that is being trained, on the evaluation's first scenes."""
 
-    Args:
-        env: Where.
-        agent: Who picks the pushes.
-        episode: Its index in the evaluation.
-        seed: Its seed.
-        recorder: Takes the start and every push, if given.
-        stopped: Asked before each push; the episode is given up when it says so.
+    def __init__(self, config: Config, make_env: MakeEnv = make_rearrangement) -> None:
+        """Prepare it; the environment is built when the first network comes.
 
-    Raises:
-        EpisodeStoppedError: `stopped` said so.
-    """
-    clock = time.monotonic()
-    env.record = recorder is not None
-    td = env.reset_episode(seed)
-    if recorder is not None:
-        recorder.start(env.episode_start)
-    total_reward, done = 0.0, False
-    while not done:
-        if stopped():
-            raise EpisodeStoppedError
-        chosen = agent(td)
-        values = chosen.get("action_value", None)
-        td = env.step(chosen)["next"]
-        total_reward += float(td["reward"])
-        done = bool(td["done"])
-        if recorder is not None:
-            recorder.step(_with_values(env.last_step, values))
-    last, start = env.last_step, env.episode_start
-    objects = () if start.truth is None else start.truth.objects
-    return EpisodeResult(
-        episode=episode,
-        seed=seed,
-        n_objects=start.n_objects,
-        objects=";".join(model.name for model in objects),
-        success=bool(last.success),
-        pushes=last.index,
-        error_mm=round(1000 * float(np.nanmean(last.distances)), 3),
-        out_of_range=bool(last.out_of_range),
-        truncated=bool(last.truncated),
-        return_=round(total_reward, 6),
-        wall_s=round(time.monotonic() - clock, 3),
-    )
+        Args:
+            config: The whole experiment: `eval.seed`, `train.eval_episodes` and the evaluation's
+                environment.
+            make_env: Builds that environment.
+        """
+        self._config = config
+        self._make_env = make_env
+        self._env: Env | None = None
 
+    def __call__(self, network: QNetwork) -> dict[str, float]:
+        """Play the episodes.
 
-def _with_values(step: StepRecord, values: Tensor | None) -> StepRecord:
-    """The step with the agent's action values, [N * D], if it has any."""
-    if values is None:
-        return step
-    return replace(step, q_values=values.numpy().reshape(step.legal.shape))
+        Returns:
+            `episodes`, `success_rate`, `episode_pushes`, `error_mm` and `out_of_range_rate`: means
+            over all episodes.
+        """
+        from sdfgcn.agents.epsilon_greedy import EpsilonGreedy, QAgent
+
+        if self._env is None:
+            self._env = self._make_env(self._config.env)
+        played = []
+        for episode in range(self._config.train.eval_episodes):
+            seed, rng = episode_seeds(self._config.eval.seed, episode)
+            agent = EpsilonGreedy(QAgent(network), rng, epsilon=0.0, loop_distance=None)
+            played.append(play_episode(self._env, agent, episode, seed))
+        return {
+            "episodes": float(len(played)),
+            "success_rate": float(np.mean([result.success for result in played])),
+            "episode_pushes": float(np.mean([result.pushes for result in played])),
+            "error_mm": float(np.mean([result.error_mm for result in played])),
+            "out_of_range_rate": float(np.mean([result.out_of_range for result in played])),
+        }
+
+    def close(self) -> None:
+        """Free the environment."""
+        if self._env is not None:
+            self._env.close()
 
 
 class _Player:
