@@ -30,7 +30,7 @@ from tqdm import tqdm
 
 from sdfgcn.models import build_q_network
 from sdfgcn.models.q_network import QNetwork
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 # Network, width (None: it has no choice), and the rows and formats to try.
 PLAIN = ((4, "float32"), (4, "channels_last"))

@@ -5,7 +5,7 @@
 
 Trains anew in each case and writes `results/benchmark_training.json`. Rates are by the wall clock,
 from the first update on, so run it on a quiet machine; each row tells how many updates a push got,
-since actors and learner wait for each other where one is far ahead
+since who pushes and who learns wait for each other where one is far ahead
 (`train.utd_ratio`, `train.max_utd_ratio`).
 """
 
@@ -24,9 +24,9 @@ from typing import Any
 
 from common import load, parse, provenance, save
 from learning_curve import read
-from sdfgcn.train.loop import q_network, train
 
 from sdfgcn.loggers.files import NoLogger
+from sdfgcn.train.training import q_network, train
 
 CASES: tuple[tuple[str, int], ...] = (("sync", 0), ("async", 1), ("async", 2), ("async", 3))
 LOG_PUSHES = 100  # pushes between two looks at the clock

@@ -29,9 +29,9 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from sdfgcn.compose import component_dirs, conf_dir, register_search_path
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.evaluation.report import text
 from sdfgcn.experiment import run_experiment
 from sdfgcn.opengl import check_opengl
-from sdfgcn.report import text
 from sdfgcn.run_folder import RunFolder
 from sdfgcn.validation import typed
 

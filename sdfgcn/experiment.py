@@ -8,10 +8,10 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from sdfgcn.config import Config, QNetworkConfig
-from sdfgcn.evaluate import Evaluation, HeldOutEvaluation, evaluate, watch
+from sdfgcn.evaluation.evaluate import Evaluation, HeldOutEvaluation, evaluate, watch
+from sdfgcn.evaluation.results import summarise
 from sdfgcn.loggers import Logger
 from sdfgcn.registry import LOGGERS, RECORDERS
-from sdfgcn.results import summarise
 from sdfgcn.run_folder import RunFolder
 
 

@@ -1,6 +1,7 @@
 """Matching: encoders, features of masked patches, assignment."""
 
 import math
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +11,13 @@ from configs import real_config
 from safetensors.torch import save_file
 
 from sdfgcn.config import EncoderConfig
-from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.perception.encoders.encoder import pool
 from sdfgcn.perception.encoders.resnet import DEPTHS, TorchvisionResNet
 from sdfgcn.perception.matching import Matcher
 from sdfgcn.registry import ENCODERS
+from sdfgcn.sim.episode import draw_episode
+from sdfgcn.sim.world import MujocoWorld
 
 SIZE = 96
 
@@ -246,20 +248,18 @@ def test_permuted_objects_are_found(matcher):
 def test_turned_household_objects_are_matched_without_colour():
     """All objects of a scene have the same colour: what is left is shape and size."""
     config = real_config("objects=household", "robot=gripper", "n_objects=4").env
-    env = RearrangementEnv(config, seed=0)
-    env.record = True
     matcher = Matcher(config.perception.encoder)
     worse = Matcher(replace(config.perception.encoder, rotations=1))
     right, unturned = [], []
-    for seed in range(12):
-        env.reset_episode(seed)
-        episode = replace(env.world.task.episode, colors=np.tile([0.6, 0.6, 0.6, 1.0], (4, 1)))
-        env._begin(episode)
-        start = env.episode_start
-        for model, verdicts in ((matcher, right), (worse, unturned)):
-            current, goal = (model.features(s.pixels, s.masks) for s in (start.scene, start.goal))
-            verdicts += (model.match(current, goal[::-1]) == [3, 2, 1, 0]).tolist()
-    env.close()
+    with closing(MujocoWorld(config)) as world:
+        for seed in range(12):
+            episode = draw_episode(seed, world.catalogue, config)
+            world.begin(replace(episode, colors=np.tile([0.6, 0.6, 0.6, 1.0], (4, 1))))
+            views = world.look(), world.look_at_goal()
+            seen = [(view.pixels(), view.true_masks()) for view in views]
+            for model, verdicts in ((matcher, right), (worse, unturned)):
+                current, goal = (model.features(pixels, masks) for pixels, masks in seen)
+                verdicts += (model.match(current, goal[::-1]) == [3, 2, 1, 0]).tolist()
     assert np.mean(right) > 0.85
     assert np.mean(right) > np.mean(unturned) + 0.1
 

@@ -26,7 +26,7 @@ from sdfgcn.models.layers import PROPAGATIONS, Propagation
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.models.sdfgcn import ConvGcnConfig
 from sdfgcn.registry import MODELS
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 from sdfgcn.validation import typed
 
 SIZE = 24  # pixels: small, for speed

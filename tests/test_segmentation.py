@@ -13,10 +13,10 @@ from dm_control import mjcf
 from sdfgcn.config import SegmentationConfig, SegmentationTrainingConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.catalogue import load_catalogue
-from sdfgcn.perception import dataset, ucn_training
 from sdfgcn.perception.segmenters.clustering import cluster, masks_of
 from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
 from sdfgcn.registry import SEGMENTERS
+from sdfgcn.segmentation import dataset, training
 from sdfgcn.segmentation.loss import clustering_loss
 from sdfgcn.segmentation.metrics import match_masks, score_masks
 from sdfgcn.segmentation.scores import Example, shifted_look, summary, views
@@ -260,9 +260,9 @@ def test_a_picture_of_an_odd_size_is_refused(segmenter) -> None:
 def training_config(*overrides: str) -> SegmentationTrainingConfig:
     shrunk = (
         "~objects@catalogues.scanned",
-        "scenes.layouts=2",
-        "scenes.appearances=2",
-        "scenes.workers=0",
+        "arrangements.layouts=2",
+        "arrangements.appearances=2",
+        "arrangements.workers=0",
         "steps=4",
         "batch=2",
         "checkpoint_steps=2",
@@ -283,30 +283,30 @@ def test_training_that_was_cut_off_goes_on_to_the_same_weights(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     config = training_config()
-    whole = ucn_training.train(config, tmp_path / "whole")
-    update = ucn_training.Training._update
+    whole = training.train(config, tmp_path / "whole")
+    update = training.Training._update
 
-    def cut_off(training, pictures):
-        if training.step == 3:
+    def cut_off(interrupted, pictures):
+        if interrupted.step == 3:
             raise KeyboardInterrupt
-        return update(training, pictures)
+        return update(interrupted, pictures)
 
     with monkeypatch.context() as patch:
-        patch.setattr(ucn_training.Training, "_update", cut_off)
+        patch.setattr(training.Training, "_update", cut_off)
         with pytest.raises(KeyboardInterrupt):
-            ucn_training.train(config, tmp_path / "parts")
+            training.train(config, tmp_path / "parts")
     assert not (tmp_path / "parts" / "ucn.safetensors").exists()
-    parts = ucn_training.train(config, tmp_path / "parts")
+    parts = training.train(config, tmp_path / "parts")
     assert parts.read_bytes() == whole.read_bytes()
     rows = (tmp_path / "parts" / "metrics.csv").read_text().splitlines()
     assert [row.partition(",")[0] for row in rows] == ["step", "2", "4"]
     UCNSegmenter(replace(config_of(), weights=str(parts)))
 
     with pytest.raises(SdfgcnError, match=r"differs in seed \(0 there, 1 now\)"):
-        ucn_training.train(training_config("seed=1"), tmp_path / "parts")
+        training.train(training_config("seed=1"), tmp_path / "parts")
     (tmp_path / "parts" / "checkpoint.pt").write_bytes(b"half")
     with pytest.raises(SdfgcnError, match=r"checkpoint\.pt cannot be read"):
-        ucn_training.train(config, tmp_path / "parts")
+        training.train(config, tmp_path / "parts")
 
 
 @pytest.mark.usefixtures("small_shards")
@@ -327,7 +327,7 @@ def test_training_pictures_are_labelled_and_a_damaged_shard_is_named(tmp_path: P
     ("override", "message"),
     [
         ("steps=0", "steps is 0, but must be at least 1"),
-        ("scenes.n_objects=[3,2]", r"scenes\.n_objects is \[3, 2\]"),
+        ("arrangements.n_objects=[3,2]", r"arrangements\.n_objects is \[3, 2\]"),
         ("~objects@catalogues.household", "catalogues is empty"),
     ],
 )

@@ -9,11 +9,11 @@ from dm_control.mujoco import engine, wrapper
 from toys import BALL, BOX, CAN, SLAB, act, begin, lay_out
 
 from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.geometry.camera import camera_model
-from sdfgcn.push_space import PushPlan
 from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.arena import CAMERA, GROUP_SCENE
 from sdfgcn.sim.episode import draw_episode
+from sdfgcn.task.camera import camera_model
+from sdfgcn.task.push_space import PushPlan
 
 DIRECTIONS = 8
 
@@ -95,6 +95,19 @@ def test_slots_follow_the_episode_not_the_catalogue(toys):
     )
     assert columns[0] < columns[2] < columns[1]  # x grows to the right
     assert rows[2] < min(rows[0], rows[1])  # y grows upwards
+
+
+def test_masks_follow_the_geom_to_slot_table(toys, monkeypatch):
+    lay_out(toys, [CAN, BOX, BALL], [(-0.15, 0.0), (0.15, 0.0), (0.0, 0.25)])
+    can, box, slab = toys.world.task._visuals[[CAN, BOX, SLAB]]
+    # The slab is not in this episode; -1 is "nothing there", and nothing shows the ball.
+    ids = np.array([[can, can, box], [slab, -1, slab], [box, can, -1]])
+    monkeypatch.setattr(toys.world.renderer, "geom_ids", lambda: ids)
+    masks = toys.world.look().true_masks()
+    assert masks.shape == (3, 3, 3)
+    assert masks[0].tolist() == [[True, True, False], [False] * 3, [False, True, False]]
+    assert masks[1].tolist() == [[False, False, True], [False] * 3, [True, False, False]]
+    assert not masks[2].any()
 
 
 @pytest.mark.parametrize("seed", range(4))

@@ -6,6 +6,7 @@ import csv
 import json
 import zipfile
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -15,11 +16,12 @@ from small_network import small_network
 from tensordict import TensorDict
 from toys import TOYS
 
+from sdfgcn.config import Config
 from sdfgcn.loggers import CsvLogger, NoLogger
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.train.held_out import FIGURES, HeldOutCurve
 from sdfgcn.train.learner import Learner
-from sdfgcn.train.training import Trainer, q_network, train
+from sdfgcn.train.training import BuildNetwork, Trainer, q_network, train
 
 SMALL = (
     *("objects=household", "robot=gripper", "model=sdfgcn", "n_objects=2", "train.env.split=test"),
@@ -43,6 +45,13 @@ def weights_of(folder: Path, pushes: int, *overrides: str, **options: object) ->
     return train(config, folder, NoLogger(folder), small_network, **options).state_dict()
 
 
+def trainer_of(config: Config, folder: Path, build: BuildNetwork = small_network) -> Trainer:
+    logger = NoLogger(folder)
+    curve = HeldOutCurve(folder, logger, None, None)
+    torch.manual_seed(config.seed)
+    return Trainer(config, folder, logger, build, lambda network: None, curve)
+
+
 def same(there: Weights, here: Weights) -> bool:
     return all(torch.equal(there[key], here[key]) for key in there)
 
@@ -64,6 +73,29 @@ def test_hindsight_of_an_unfinished_episode_goes_on(tmp_path: Path) -> None:
     assert same(whole, weights_of(tmp_path / "parts", 35, *future))
 
 
+@pytest.mark.parametrize(
+    ("collector", "changed"), [("sync", "sync"), ("sync", "async"), ("async", "sync")]
+)
+def test_only_one_process_goes_on_with_its_episode(
+    collector: str, changed: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Others begin new ones: nothing of the old one is counted to them."""
+    config = real_config(*SMALL, "her=future", "budget.pushes=10")
+    first = trainer_of(config, tmp_path)
+    with closing(first):
+        first.run()
+        if collector == "async":
+            monkeypatch.setattr(first._collector, "state", dict)
+            first._save()
+    monkeypatch.setattr("sdfgcn.train.training.build_collector", lambda spec: None)
+    second = trainer_of(
+        replace(config, collector=replace(config.collector, name=changed)), tmp_path
+    )
+    goes_on = collector == changed == "sync"
+    assert bool(second._hindsight._carried) == goes_on
+    assert (second._progress._carried != 0.0) == goes_on
+
+
 # ------------------------------------------------------------------ precision
 
 
@@ -77,8 +109,7 @@ def test_precision_is_chosen_once_a_run_folder(
         folder.mkdir(exist_ok=True)
         monkeypatch.setattr(Learner, "_seconds", lambda self, name, batch: name != fastest)
         config = real_config(*SMALL, f"runtime.precision={precision}")
-        curve = HeldOutCurve(folder, NoLogger(folder), None, None)
-        trainer = Trainer(config, folder, NoLogger(folder), small_network, lambda _: None, curve)
+        trainer = trainer_of(config, folder)
         trainer._choose_precision(TensorDict(batch_size=[8]))
         return trainer._learner.precision
 
@@ -163,9 +194,7 @@ def test_trains_with_16_directions(tmp_path: Path) -> None:
         *(*SMALL, "model=pose_gcn", "env.push.directions=16", "augment.probability=0.5"),
         *("train.epsilon_start=1.0", "train.epsilon_end=1.0", "budget.pushes=25"),
     )
-    curve = HeldOutCurve(tmp_path, NoLogger(tmp_path), None, None)
-    torch.manual_seed(0)
-    trainer = Trainer(config, tmp_path, NoLogger(tmp_path), q_network, lambda _: None, curve)
+    trainer = trainer_of(config, tmp_path, q_network)
     before = {key: value.clone() for key, value in trainer.network.state_dict().items()}
     with closing(trainer):
         trainer.run()

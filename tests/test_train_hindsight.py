@@ -6,7 +6,7 @@ from configs import real_config
 from tensordict import TensorDict, TensorDictBase
 
 from sdfgcn.config import HerConfig
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 from sdfgcn.train.hindsight import Hindsight, relabelled
 
 ENV = real_config().env

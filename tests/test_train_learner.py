@@ -11,7 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
-from sdfgcn.push_space import PushSpace
+from sdfgcn.task.push_space import PushSpace
 from sdfgcn.train.exploration import EpsilonGreedyPolicy
 from sdfgcn.train.learner import Learner
 

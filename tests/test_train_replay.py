@@ -12,8 +12,8 @@ from tensordict import TensorDict
 
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.perception.sdf import SdfTransform
-from sdfgcn.push_space import PushSpace
-from sdfgcn.scene import Scene
+from sdfgcn.task.push_space import PushSpace
+from sdfgcn.task.scene import Scene
 from sdfgcn.train.mirror import MirrorTransform, mirrored
 from sdfgcn.train.replay import Replay
 

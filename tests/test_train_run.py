@@ -1,4 +1,4 @@
-"""`python run.py` with a Q-network: actors in processes of their own, then an evaluation."""
+"""`python run.py` with a Q-network: pushes in a process of their own, then an evaluation."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from configs import compose_config, real_config
 from recordings import Recording
 
 from sdfgcn import load_policy
-from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.experiment import run_experiment
@@ -49,7 +48,7 @@ def run(*arguments: str) -> subprocess.CompletedProcess:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The run folder of a training with an actor of its own, and of its evaluation."""
+    """The run folder of a training that pushes in another process, and of its evaluation."""
     folder = tmp_path_factory.mktemp("run")
     done = run(*SMALL, *GROWING, "model=gt_pose_gcn", "collector=async", f"hydra.run.dir={folder}")
     assert done.returncode == 0, done.stderr
@@ -69,8 +68,8 @@ def test_trains_then_evaluates(folder: Path) -> None:
     assert json.loads((folder / "results.json").read_text())["model"] == "gt_pose_gcn"
 
 
-def test_actors_elsewhere_hear_of_a_new_count(folder: Path) -> None:
-    """The third count comes in only when the actor has played episodes of the second."""
+def test_other_processes_hear_of_a_new_count(folder: Path) -> None:
+    """The third count comes in only when the other process has played episodes of the second."""
     with (folder / "train.csv").open() as file:
         counts = [int(row["n_objects"]) for row in csv.DictReader(file)]
     assert counts[-1] == 3
@@ -84,8 +83,9 @@ def test_q_values_are_in_the_recording(folder: Path) -> None:
         seed = int(next(csv.DictReader(file))["seed"])
     with closing(RearrangementEnv(real_config(*SMALL).env)) as env:
         given = load_policy(folder)(env.reset_episode(seed))["action_value"]
-    assert kept["shape"] == [2, N_DIRECTIONS]
-    np.testing.assert_allclose(kept["buffer"], given[: 2 * N_DIRECTIONS], atol=1e-5)
+        values = env.push_space.by_direction(given)[:2].numpy()
+    assert kept["shape"] == list(values.shape) == [2, 8]
+    np.testing.assert_allclose(kept["buffer"], values.ravel(), atol=1e-5)
     assert "| #1 " in recording["/q_values/table", "TextDocument:text"][1][0]
 
 

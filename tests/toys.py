@@ -15,7 +15,7 @@ from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.objects.primitives import circle
 from sdfgcn.sim.episode import EpisodeSpec
 from sdfgcn.sim.world import MujocoWorld
-from sdfgcn.world import PushCommand, PushResult
+from sdfgcn.task.world import PushCommand, PushResult
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 ON_ITS_SIDE = (0.5**0.5, 0.5**0.5, 0.0, 0.0)  # a quarter turn about x

@@ -15,13 +15,13 @@ from sdfgcn.config import EnvConfig
 from sdfgcn.envs.records import EpisodeStart, Push, Snapshot, StepRecord
 from sdfgcn.envs.reward import reward_terms
 from sdfgcn.envs.standing import Standing, nearest_objects, seen_standing, true_standing
-from sdfgcn.geometry.region import Region
 from sdfgcn.perception.base import detected
 from sdfgcn.perception.sdf import SdfTransform
-from sdfgcn.push_space import PushSpace
 from sdfgcn.registry import PERCEPTIONS, WORLDS
-from sdfgcn.scene import Detections, Scene
-from sdfgcn.world import View, World
+from sdfgcn.task.push_space import PushSpace
+from sdfgcn.task.region import Region
+from sdfgcn.task.scene import Detections, Scene
+from sdfgcn.task.world import View, World
 
 
 class RearrangementEnv(EnvBase):
@@ -80,6 +80,7 @@ class RearrangementEnv(EnvBase):
         self.push_space = PushSpace(config.push, arena)
         self._perception = perception(config.perception, config.max_objects)
         self.world: World = world or WORLDS.find(config.world.name)(config)
+        self.is_closed = False  # TorchRL's base class has nothing to close, and says True
         self._allowed = Region.range(arena)
         self.record = False
         self._episode_seed: int | None = None

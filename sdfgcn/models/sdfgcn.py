@@ -22,7 +22,7 @@ from sdfgcn.models.layers import (
 from sdfgcn.models.pictures import PICTURES, ConvConfig
 from sdfgcn.models.q_network import QNetwork, spread_to_rows
 from sdfgcn.registry import MODELS
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 
 @dataclass

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from sdfgcn.config import EnvConfig, HerConfig
 from sdfgcn.envs.reward import reward_terms
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 
 class Hindsight:

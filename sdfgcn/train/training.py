@@ -24,7 +24,7 @@ from sdfgcn.loggers import Logger
 from sdfgcn.models import build_q_network, q_networks
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.objects.catalogue import load_catalogue
-from sdfgcn.push_space import PushSpace
+from sdfgcn.task.push_space import PushSpace
 from sdfgcn.train.checkpoint import NAME, checkpoint_config, load_checkpoint, save_checkpoint
 from sdfgcn.train.collectors import CollectorSpec, build_collector
 from sdfgcn.train.curriculum import Curriculum, ObjectCountSampler
@@ -273,7 +273,8 @@ class Trainer:
             check_same_learning(self._folder / NAME, self._config)
             load_checkpoint(self._folder / NAME, self._parts())
             self._policy.load_weights(self.network)
-            if not self._collector_state:
+            goes_on = self._config.collector.name == "sync" and self._collector_state
+            if not goes_on:
                 self._progress.forget_episode()
                 self._hindsight.forget_episode()
         self._curve.go_on_from(self._progress.pushes)

@@ -6,7 +6,7 @@ import numpy as np
 
 from sdfgcn.envs.records import EpisodeStart, StepRecord
 
-_ARROWS = "→↗↑↖←↙↓↘"  # every eighth of a turn, as they head in the picture
+_ARROWS = "→↗↑↖←↙↓↘"  # evenly around, counter-clockwise in the picture
 
 
 def slot_name(episode: EpisodeStart, slot: int) -> str:
@@ -51,7 +51,8 @@ def summary(episode: EpisodeStart, last: StepRecord | None, total_reward: float)
     ]
     for slot in range(episode.n_objects):
         category = episode.truth.objects[slot].category if episode.truth else ""
-        error = f"{1000 * last.distances[slot]:.0f}" if last else ""
+        distance = last.distances[slot] if last else np.nan
+        error = f"{1000 * distance:.0f}" if np.isfinite(distance) else ""
         lines.append(f"| {slot_name(episode, slot)} | {category} | {error} |")
     return "\n".join(lines)
 
@@ -87,7 +88,8 @@ def q_table(names: list[str], step: StepRecord) -> str:
 
 
 def _head(degrees: float) -> str:
-    return f"{_ARROWS[round(degrees / 45.0) % 8]} {degrees:g}°"
+    nearest = round(degrees / 360.0 * len(_ARROWS)) % len(_ARROWS)
+    return f"{_ARROWS[nearest]} {degrees:g}°"
 
 
 def _push(name: str, step: StepRecord) -> str:
