@@ -30,8 +30,9 @@ from tqdm import tqdm
 
 from sdfgcn.models import build_q_network
 from sdfgcn.models.q_network import QNetwork
+from sdfgcn.task.scene import Scene
 
-# Network, width (None: it has no choice), and the slots and formats to try.
+# Network, width (None: it has no choice), and the rows and formats to try.
 PLAIN = ((4, "float32"), (4, "channels_last"))
 CASES: list[tuple[str, str | None, tuple[tuple[int, str], ...]]] = [
     ("sdfgcn", "strided", (*PLAIN, (8, "channels_last"), (4, "bfloat16"))),
@@ -48,14 +49,18 @@ CASES: list[tuple[str, str | None, tuple[tuple[int, str], ...]]] = [
 def observation(n: int, batch: int, n_objects: int, size: int) -> TensorDict:
     """Random pictures; times do not depend on what they show. Keys as of the environment."""
     generator = torch.Generator().manual_seed(0)
-    slots = torch.arange(n).expand(batch, n)
-    td = TensorDict({"correspondence": torch.where(slots < n_objects, slots, -1)}, [batch])
-    for prefix in ("", "goal_"):
-        td[prefix + "sdf"] = torch.randn(batch, n, size, size, generator=generator) * 40
-        td[prefix + "node_mask"] = slots < n_objects
-        for key in ("center", "position"):
-            td[prefix + key] = torch.rand(batch, n, 2, generator=generator) - 0.5
-    return td
+    occupied = (torch.arange(n) < n_objects).repeat(batch, 1)
+
+    def scene() -> Scene:
+        return Scene(
+            sdf=torch.randn(batch, n, size, size, generator=generator) * 40,
+            node_mask=occupied,
+            center=torch.rand(batch, n, 2, generator=generator) - 0.5,
+            position=torch.rand(batch, n, 2, generator=generator) - 0.5,
+            batch_size=[batch],
+        )
+
+    return TensorDict({"scene": scene(), "goal": scene(), "matched": occupied}, [batch])
 
 
 def cpu_ms(function: Callable[[], Any], repeats: int) -> float:

@@ -26,7 +26,7 @@ from common import load, parse, provenance, save
 from learning_curve import read
 from sdfgcn.train.loop import q_network, train
 
-from sdfgcn.loggers import NoLogger
+from sdfgcn.loggers.files import NoLogger
 
 CASES: tuple[tuple[str, int], ...] = (("sync", 0), ("async", 1), ("async", 2), ("async", 3))
 LOG_PUSHES = 100  # pushes between two looks at the clock
@@ -42,7 +42,7 @@ def measure(overrides: list[str], collector: str, workers: int, seconds: int) ->
         ]
     )
     with tempfile.TemporaryDirectory() as folder:
-        train(config, Path(folder), NoLogger(Path(folder)), q_network)
+        train(config, Path(folder), NoLogger(config.logger, Path(folder)), q_network)
         rows = [row for row in read(Path(folder)) if row["updates"] > 0]
     if len(rows) < 2:
         raise SystemExit(

@@ -9,8 +9,8 @@ from typing import Any
 
 from sdfgcn.compose import load_config
 from sdfgcn.config import Config
+from sdfgcn.evaluation.results import git_state, versions
 from sdfgcn.files import write_json
-from sdfgcn.results import git_state, versions
 
 ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "experiments" / "results"

@@ -20,8 +20,8 @@ from pathlib import Path
 from table import arguments_of, publish
 
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.evaluation.report import decimal, markdown_table, percent
 from sdfgcn.files import replaced, write_text
-from sdfgcn.report import decimal, markdown_table, percent
 
 Row = dict[str, float]
 

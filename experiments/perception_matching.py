@@ -27,10 +27,10 @@ from tqdm import tqdm
 
 from sdfgcn.config import Config, EnvConfig
 from sdfgcn.envs.rearrangement import RearrangementEnv
+from sdfgcn.evaluation.report import percent
+from sdfgcn.evaluation.results import wilson
 from sdfgcn.files import write_json, write_text
 from sdfgcn.perception.matching import Matcher
-from sdfgcn.report import percent
-from sdfgcn.results import wilson
 from sdfgcn.sim.episode import draw_episode
 
 SCENES = 500  # of each number of objects

@@ -14,8 +14,8 @@ from common import RESULTS, ROOT
 from table import filled
 
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.evaluation.report import percent
 from sdfgcn.files import write_text
-from sdfgcn.report import percent
 
 Row = dict[str, Any]
 ALL = "2 to 6"  # n_objects of a row over every number of objects

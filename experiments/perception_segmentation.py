@@ -20,12 +20,12 @@ from pictures import enlarged, painted, save_png, sheet
 from tqdm import tqdm
 
 from sdfgcn.config import Config
+from sdfgcn.evaluation.report import percent
+from sdfgcn.evaluation.results import wilson
 from sdfgcn.files import write_text
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.perception.segmenters.ucn import SHIPPED
 from sdfgcn.registry import SEGMENTERS
-from sdfgcn.report import percent
-from sdfgcn.results import wilson
 from sdfgcn.segmentation.metrics import MaskScores, score_masks
 from sdfgcn.segmentation.scores import Example, shifted_look, summary, views
 

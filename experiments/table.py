@@ -22,8 +22,8 @@ from typing import Any
 from common import RESULTS
 
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.evaluation.report import SHARED, markdown, paper
 from sdfgcn.files import write_json, write_text
-from sdfgcn.report import SHARED, markdown, paper
 
 Row = dict[str, Any]
 

@@ -29,9 +29,9 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 
 from sdfgcn.compose import component_dirs, conf_dir, register_search_path
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.evaluation.report import text
 from sdfgcn.experiment import run_experiment
 from sdfgcn.opengl import check_opengl
-from sdfgcn.report import text
 from sdfgcn.run_folder import RunFolder
 from sdfgcn.validation import typed
 
@@ -165,13 +165,14 @@ def _tell_config_error(error: BaseException) -> str:
 def _hint(asked: str) -> str:
     """Name the keys or the group that was probably meant."""
     meant: dict[str, list[str]] = {}
-    for key in _all_keys():
+    keys = _all_keys()
+    if asked in keys:
+        return "it belongs to another option of its group."
+    for key in keys:
         parts = key.split(".")
         for start in range(len(parts)):
             meant.setdefault(".".join(parts[start:]), []).append(key)
     meant |= {group.name: [group.name] for group in conf_dir().glob("*/")}
-    if asked in meant:
-        return "it belongs to another option of its group."
     close = difflib.get_close_matches(asked, meant, n=1, cutoff=0.8)
     if not close:
         return "`--cfg job` prints all keys."

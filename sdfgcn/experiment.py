@@ -8,10 +8,10 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from sdfgcn.config import Config, QNetworkConfig
-from sdfgcn.evaluate import Evaluation, HeldOutEvaluation, evaluate, watch
+from sdfgcn.evaluation.evaluate import Evaluation, HeldOutEvaluation, evaluate, watch
+from sdfgcn.evaluation.results import summarise
 from sdfgcn.loggers import Logger
 from sdfgcn.registry import LOGGERS, RECORDERS
-from sdfgcn.results import summarise
 from sdfgcn.run_folder import RunFolder
 
 
@@ -31,7 +31,7 @@ def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
     from sdfgcn.objects.catalogue import load_catalogue  # loads MuJoCo: it fails without OpenGL
 
     load_catalogue(config.env.objects, config.env.split)  # once, before workers would each do it
-    logger = LOGGERS.find(config.logger.name)(folder.path)
+    logger = LOGGERS.find(config.logger.name)(config.logger, folder.path)
     if isinstance(config.model, QNetworkConfig):
         config = with_policy(config, folder, logger)
     evaluation = Evaluation(

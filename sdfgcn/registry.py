@@ -31,6 +31,7 @@ from sdfgcn.config import (
     ScenarioConfig,
     SegmentationConfig,
     VizConfig,
+    WorldConfig,
     lookup,
 )
 
@@ -132,6 +133,7 @@ def plugins() -> tuple[EntryPoint, ...]:
 
 
 MODELS: Registry[Any] = Registry("model", "model", "sdfgcn.models.* sdfgcn.agents.*", ModelConfig)
+WORLDS: Registry[Any] = Registry("world", "env.world", "sdfgcn.sim.world", WorldConfig)
 OBJECTS: Registry[Any] = Registry(
     "objects", "env.objects", "sdfgcn.objects.sources.*", ObjectsConfig
 )
@@ -140,10 +142,7 @@ SCENARIOS: Registry[Any] = Registry(
     "scenario", "env.scenario", "sdfgcn.sim.scenarios.*", ScenarioConfig
 )
 PERCEPTIONS: Registry[Any] = Registry(
-    "perception",
-    "env.perception",
-    "sdfgcn.perception.oracle sdfgcn.perception.vision",
-    PerceptionConfig,
+    "perception", "env.perception", "sdfgcn.perception.*", PerceptionConfig
 )
 ENCODERS: Registry[Any] = Registry(
     "encoder", "env.perception.encoder", "sdfgcn.perception.encoders.*", EncoderConfig
@@ -154,12 +153,13 @@ SEGMENTERS: Registry[Any] = Registry(
     "sdfgcn.perception.segmenters.*",
     SegmentationConfig,
 )
-LOGGERS: Registry[Any] = Registry("logger", "logger", "sdfgcn.loggers", LoggerConfig)
+LOGGERS: Registry[Any] = Registry("logger", "logger", "sdfgcn.loggers.*", LoggerConfig)
 RECORDERS: Registry[Any] = Registry("viz", "viz", "sdfgcn.viz", VizConfig)
 
 # In the order in which their configs nest: an outer one before those inside it.
 REGISTRIES: tuple[Registry[Any], ...] = (
     MODELS,
+    WORLDS,
     OBJECTS,
     ROBOTS,
     SCENARIOS,

@@ -22,8 +22,8 @@ from filelock import FileLock, Timeout
 from omegaconf import DictConfig, OmegaConf
 
 from sdfgcn.config.diff import differences, flat
-from sdfgcn.episodes import EpisodeResult, EpisodeTable
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.evaluation.episodes import EpisodeResult, EpisodeTable
 from sdfgcn.files import write_json, write_text
 
 # Keys that change how a run is executed or shown, not what its episodes are.

@@ -124,7 +124,7 @@ def _validate_env(config: Config) -> None:
             f"env.physics.timestep ({env.physics.timestep})."
         )
     for component in (
-        *(env.objects, env.robot, env.scenario),
+        *(env.world, env.objects, env.robot, env.scenario),
         *(env.perception, env.perception.encoder, env.perception.segmentation),
     ):
         component.check(config)

@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 
 def random_scene(

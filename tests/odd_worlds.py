@@ -8,7 +8,7 @@ from pathlib import Path
 from configs import real_config
 
 from sdfgcn.config import EnvConfig
-from sdfgcn.evaluate import Env, Evaluation, evaluate
+from sdfgcn.evaluation.evaluate import Env, Evaluation, evaluate
 from sdfgcn.registry import RECORDERS
 
 

@@ -10,14 +10,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import torch
-from sdfgcn.envs.types import StepRecord
-from sdfgcn.sim.types import Push
 from tensordict import TensorDict
 
-from sdfgcn.config import N_DIRECTIONS, EnvConfig
+from sdfgcn.config import EnvConfig
+from sdfgcn.envs.records import EpisodeStart, Push, Snapshot, StepRecord
+from sdfgcn.task.camera import camera_model
+from sdfgcn.task.push_space import PushSpace
+from sdfgcn.task.scene import Detections, Scene
+from sdfgcn.task.world import PushResult, Truth
 
 STEP = 0.06  # m
 NAMES = ("apple", "brick", "cup", "disc", "egg", "fork", "glove", "hat")
+SIZE = 4  # pixels; the pictures are empty
 
 
 class PointWorld:
@@ -25,36 +29,65 @@ class PointWorld:
 
     def __init__(self, config: EnvConfig) -> None:
         self.config = config
+        self.push_space = PushSpace(config.push, config.arena)
+        self.camera = camera_model(config.arena)
         self.record = False
         self.closed = False
 
     def reset_episode(self, seed: int) -> TensorDict:
         rng = np.random.default_rng(seed)
-        self.place(rng.uniform(-0.25, 0.25, (2, self.config.n_objects, 2)))
+        return self.place(*rng.uniform(-0.25, 0.25, (2, self.config.n_objects, 2)), seed)
+
+    def place(self, start: np.ndarray, goal: np.ndarray, seed: int = 0) -> TensorDict:
+        """Begin an episode with points at [n, 2] metres."""
+        self.position, self.goal = start.copy(), self.moment(goal)
+        self.pushes = 0
+        n = len(start)
+        self.episode_start = EpisodeStart(
+            seed=seed,
+            n_objects=n,
+            truth=Truth(
+                objects=tuple(SimpleNamespace(name=name) for name in NAMES[:n]),
+                colors=np.ones((n, 4)),
+                goal_poses=self.goal.poses,
+            ),
+            start=self.moment(start),
+            goal=self.goal,
+            camera=self.camera,
+        )
         return self.observe()
 
-    def place(self, start_and_goal: np.ndarray) -> None:
-        self.position, self.goal = start_and_goal
-        self.pushes = 0
-        objects = tuple(SimpleNamespace(name=name) for name in NAMES[: len(self.position)])
-        self.episode_start = SimpleNamespace(objects=objects)
+    def moment(self, points: np.ndarray) -> Snapshot:
+        """Points at [n, 2] metres, each in the row of its index."""
+        n = len(points)
+        seen = Detections(
+            masks=np.zeros((n, SIZE, SIZE), dtype=bool),
+            sdf=np.ones((n, SIZE, SIZE), dtype=np.float32),
+            center=points,
+            position=points,
+        )
+        rows = np.arange(self.config.max_objects) < n
+        scene = Scene.of(seen, rows, self.config.max_objects, SIZE)
+        return Snapshot(scene, rows, None, np.hstack([points, np.tile([0, 1, 0, 0, 0], (n, 1))]))
 
     def step(self, td: TensorDict) -> TensorDict:
-        slot, direction = divmod(int(td["action"]), N_DIRECTIONS)
-        angle = direction * np.pi / 4
-        start = self.position[slot].copy()
-        self.position[slot] += STEP * np.array([np.cos(angle), np.sin(angle)])
+        row, direction = self.push_space.decode(int(td["action"]))
+        angle = float(self.push_space.angles[direction])
+        start = self.position[row].copy()
+        self.position[row] += STEP * np.array([np.cos(angle), np.sin(angle)])
         self.pushes += 1
-        distances = np.linalg.norm(self.position - self.goal, axis=1)
+        after = self.moment(self.position)
+        distances = np.linalg.norm((after.poses - self.goal.poses)[:, :2], axis=1)
         success = bool((distances < self.config.success_threshold).all())
         limit = self.config.pushes_per_object * len(self.position)
         truncated = not success and self.pushes >= limit
+        end = self.position[row]
         self.last_step = StepRecord(
             index=self.pushes,
             push=Push(
-                slot, direction, np.append(start, 0), np.append(self.position[slot], 0), "done"
+                row, direction, angle, PushResult("done", np.append(start, 0), np.append(end, 0))
             ),
-            scene=None,
+            after=after,
             distances=distances,
             reward_terms={"step": 1.0},
             reward=1.0,
@@ -62,26 +95,24 @@ class PointWorld:
             out_of_range=False,
             terminated=success,
             truncated=truncated,
-            q_values=None,
+            legal=self.push_space.by_direction(td["action_mask"]).numpy(),
         )
-        after = self.observe()
-        after["reward"] = torch.ones(1)
-        after["done"] = torch.tensor([success or truncated])
-        td["next"] = after
+        td["next"] = self.observe()
+        td["next", "reward"] = torch.ones(1)
+        td["next", "done"] = torch.tensor([success or truncated])
         return td
 
     def observe(self) -> TensorDict:
-        n = self.config.max_objects
-        nodes = torch.arange(n) < len(self.position)
-        padded = np.zeros((2, n, 2), dtype=np.float32)
-        padded[:, : len(self.position)] = self.position, self.goal
+        now = self.moment(self.position)
+        matched = torch.from_numpy(now.matched)
         return TensorDict(
             {
-                "position": torch.from_numpy(padded[0]),
-                "goal_position": torch.from_numpy(padded[1]),
-                "correspondence": torch.where(nodes, torch.arange(n), -1),
-                "node_mask": nodes,
-                "action_mask": nodes.repeat_interleave(N_DIRECTIONS),
+                "scene": now.scene,
+                "goal": self.goal.scene,
+                "matched": matched,
+                "action_mask": matched.repeat_interleave(self.push_space.n_directions),
+                "pushes": torch.tensor([self.pushes]),
+                "n_objects": torch.tensor([len(self.position)]),
             }
         )
 
@@ -118,7 +149,7 @@ class Notes:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         self.path.write_text("\n".join(self.lines))
 
-    def start(self, episode: object) -> None:
+    def start(self, episode: EpisodeStart) -> None:
         self.lines.append("start")
 
     def step(self, step: StepRecord) -> None:

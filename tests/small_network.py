@@ -7,7 +7,7 @@ from torch import Tensor, nn
 
 from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.models.q_network import QNetwork
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 
 class SmallNetwork(QNetwork):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from dm_control import mujoco
 
-from sdfgcn.geometry.camera import CameraModel
+from sdfgcn.task.camera import CameraModel
 
 
 def straight_down() -> CameraModel:

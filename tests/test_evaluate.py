@@ -15,9 +15,10 @@ from point_world import Endless, Notes, PointWorld
 
 from sdfgcn.agents import build_agent
 from sdfgcn.config import Config
-from sdfgcn.episodes import EpisodeResult
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.evaluate import Evaluation, episode_seeds, evaluate, play_episode, watch
+from sdfgcn.evaluation.episodes import EpisodeResult
+from sdfgcn.evaluation.evaluate import Evaluation, evaluate, watch
+from sdfgcn.evaluation.play import episode_seeds, play_episode
 from sdfgcn.registry import LOGGERS, RECORDERS
 
 
@@ -39,12 +40,12 @@ class PlacedWorld(PointWorld):
     """Two points: one 0.19 m left of its goal, one at its goal, 0.01 m off."""
 
     def reset_episode(self, seed):
-        self.place(np.array([[[-0.19, 0.0], [0.1, 0.1]], [[0.0, 0.0], [0.1, 0.11]]]))
-        return self.observe()
+        start, goal = [[-0.19, 0.0], [0.1, 0.1]], [[0.0, 0.0], [0.1, 0.11]]
+        return self.place(np.array(start), np.array(goal), seed)
 
 
-def play(world: PointWorld, **options) -> EpisodeResult:
-    agent = build_agent(config(), np.random.default_rng(0))
+def play(world: PointWorld, *overrides: str, **options) -> EpisodeResult:
+    agent = build_agent(config("eval=greedy", *overrides), np.random.default_rng(0))
     return play_episode(world, agent, episode=5, seed=11, **options)
 
 
@@ -63,6 +64,54 @@ def test_step_limit_truncates() -> None:
     episode = play(PlacedWorld(config("n_objects=2", "env.pushes_per_object=1").env))
     assert (episode.success, episode.truncated, episode.pushes) == (False, True, 2)
     assert episode.error_mm == pytest.approx((70 + 10) / 2)
+
+
+class StuckWorld(PlacedWorld):
+    """No push moves anything."""
+
+    def step(self, td):
+        position = self.position.copy()
+        td = super().step(td)
+        self.position = position
+        td["next"].update(self.observe())
+        return td
+
+
+class Pushes(Notes):
+    """The row and the direction of every push."""
+
+    def step(self, step):
+        self.lines.append((step.push.row, step.push.direction))
+
+
+def pushes_where_nothing_moves(tmp_path: Path, *overrides: str) -> list[tuple[int, int]]:
+    """16 of them, one for each object and direction."""
+    world = StuckWorld(config("n_objects=2", "env.pushes_per_object=8").env)
+    with Pushes(tmp_path / "pushes", world.config) as recorder:
+        episode = play(world, *overrides, recorder=recorder)
+        start, *pushes = recorder.lines
+        recorder.lines = []
+    assert (start, episode.pushes, episode.truncated) == ("start", 16, True)
+    return pushes
+
+
+def test_a_rule_that_is_stuck_tries_every_push_if_loops_are_broken(tmp_path: Path) -> None:
+    assert pushes_where_nothing_moves(tmp_path, "eval.loop_distance=null") == [(0, 0)] * 16
+    tried = pushes_where_nothing_moves(tmp_path, "eval.loop_distance=0.005")
+    assert [row for row, _ in tried] == [0] * 8 + [1] * 8  # the one away from its goal first
+    nearest_first = [{0}, {1, 7}, {2, 6}, {3, 5}, {4}]
+    assert tried[0] == (0, 0)
+    assert [{k for _, k in tried[a:b]} for a, b in ((0, 1), (1, 3), (3, 5), (5, 7), (7, 8))] == (
+        nearest_first
+    )
+    assert len(set(tried)) == 16
+
+
+def test_a_rule_under_epsilon_now_and_then_pushes_at_random(tmp_path: Path) -> None:
+    some = ("eval.epsilon=0.5", "eval.loop_distance=null")
+    taken = pushes_where_nothing_moves(tmp_path, *some)
+    assert 3 <= taken.count((0, 0)) <= 13
+    assert taken == pushes_where_nothing_moves(tmp_path, *some)  # drawn from the agent's generator
 
 
 def test_recorder_gets_the_start_and_every_push(tmp_path: Path) -> None:
@@ -157,7 +206,8 @@ def test_watching_passes_episodes_on_and_logs_them(name: str, tmp_path: Path) ->
         pytest.importorskip(name)
     episodes = list(evaluate(point_world(tmp_path)))
     done, rest = episodes[:1], episodes[1:]
-    assert list(watch(rest, done, total=4, logger=LOGGERS[name](tmp_path))) == rest
+    logger = LOGGERS[name](real_config(f"logger={name}").logger, tmp_path)
+    assert list(watch(rest, done, total=4, logger=logger)) == rest
     if name == "csv":
         with (tmp_path / "metrics.csv").open() as file:
             rows = list(csv.DictReader(file))

@@ -23,21 +23,16 @@ LAYERS = (
     ("registry",),
     ("validation",),
     ("compose",),
-    ("geometry", "paper"),
-    ("report",),
-    ("episodes", "loggers"),
-    ("run_folder",),
-    ("objects",),
-    ("world",),
-    ("push_space", "scene"),
+    ("loggers", "objects"),
+    ("task",),
     ("sim",),
     ("perception",),
-    ("models",),
+    ("models", "segmentation"),
     ("envs",),
     ("agents",),
-    ("train",),
-    ("evaluate",),
-    ("results", "viz"),
+    ("train", "viz"),
+    ("evaluation",),
+    ("run_folder",),
     ("experiment",),
     ("cli",),
 )
@@ -111,6 +106,17 @@ def test_imports_nothing_higher(path: Path) -> None:
     assert {name for name in used if RANK[name] > rank} == set()
     peers = {name for name in used if RANK[name] == rank}
     assert peers <= {own[1]}, "modules of one layer do not know each other"
+
+
+PERCEPTION = [path for path in FILES if "perception" in path.relative_to(ROOT).parts]
+
+
+@pytest.mark.parametrize("path", PERCEPTION, ids=module_name)
+def test_perception_knows_no_simulation(path: Path) -> None:
+    """It sees a real table as it sees a simulated one, so nothing of it may need MuJoCo."""
+    used = {".".join(name.split(".")[:2]) for name in imports_anywhere(path)}
+    assert "sdfgcn.sim" not in used
+    assert {name.partition(".")[0] for name in used}.isdisjoint({"mujoco", "dm_control"})
 
 
 def test_run_loads_nothing_heavy() -> None:

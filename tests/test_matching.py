@@ -253,7 +253,7 @@ def test_turned_household_objects_are_matched_without_colour():
     right, unturned = [], []
     for seed in range(12):
         env.reset_episode(seed)
-        episode = replace(env._task.episode, colors=np.tile([0.6, 0.6, 0.6, 1.0], (4, 1)))
+        episode = replace(env.world.task.episode, colors=np.tile([0.6, 0.6, 0.6, 1.0], (4, 1)))
         env._begin(episode)
         start = env.episode_start
         for model, verdicts in ((matcher, right), (worse, unturned)):

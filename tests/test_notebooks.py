@@ -15,7 +15,7 @@ from jupyter_client import KernelManager
 from nbclient import NotebookClient
 
 from sdfgcn.agents.policy import save_policy
-from sdfgcn.episodes import EpisodeResult
+from sdfgcn.evaluation.episodes import EpisodeResult
 from sdfgcn.models import build_q_network
 from sdfgcn.run_folder import RunFolder
 from sdfgcn.train.progress import COLUMNS

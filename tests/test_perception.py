@@ -10,10 +10,10 @@ from sdfgcn.perception.perception import detected
 from sdfgcn.perception.push_start import PushPlan, PushPlanner, centers
 
 from sdfgcn.config import N_DIRECTIONS, ArenaConfig, PushConfig
-from sdfgcn.geometry.camera import CameraModel
 from sdfgcn.perception.oracle import oracle_masks
 from sdfgcn.perception.sdf import signed_distance, signed_distances
 from sdfgcn.sim.push import direction_vector
+from sdfgcn.task.camera import CameraModel
 
 SIZE = 96
 PIXEL = 0.005  # metres on the table, under the camera of these tests

@@ -4,20 +4,16 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-import torch
 from conftest import Envs
 from recordings import Recording
-from sdfgcn.graph import EDGES, scene_graph
-from sdfgcn.perception.perception import Perception
 from torchrl.envs.utils import check_env_specs
-from toys import act
+from toys import act, assert_equal
 
-from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
+from sdfgcn.models.graph import EDGES, adjacency_matrix
+from sdfgcn.perception.base import Perception, detected
 from sdfgcn.perception.vision import rows_of
 from sdfgcn.registry import PERCEPTIONS, RECORDERS
-
-KEYS = ("sdf", "goal_sdf", "node_mask", "correspondence", "center", "position", "action_mask")
 
 
 @pytest.fixture(scope="module", params=sorted(PERCEPTIONS))
@@ -37,22 +33,20 @@ def test_goes_on_alike_after_a_save_and_restore(env):
     first = act(env, td, action)
     env.reset_episode(6)
     again = act(env, env.restore_state(state), action)
-    for key in KEYS:
-        assert torch.equal(first[key], again[key]), key
+    assert_equal(first, again)
 
 
 def test_every_detection_has_its_features_and_its_place(env):
     td = env.reset_episode(7)
-    nodes, goal_nodes = td["node_mask"], td["goal_node_mask"]
+    scene, nodes, goal_nodes = td["scene"], td["scene", "node_mask"], td["goal", "node_mask"]
     assert nodes.any() and goal_nodes.any()
-    assert (td["sdf"][nodes].flatten(1).min(dim=1).values < 0).all()
-    assert (td["sdf"][~nodes] == 0).all() and (td["center"][~nodes] == 0).all()
-    matched = td["correspondence"] >= 0
-    assert not (matched & ~nodes).any()
-    assert goal_nodes[td["correspondence"][matched]].all()
-    assert td["correspondence"][matched].unique().numel() == matched.sum()
+    assert (scene.sdf[nodes].flatten(1).min(dim=1).values < 0).all()
+    assert (scene.sdf[~nodes] == 0).all() and (scene.center[~nodes] == 0).all()
+    assert td["matched"].any()
+    assert not (td["matched"] & ~nodes).any()
+    assert not (td["matched"] & ~goal_nodes).any()
     # A detected centre lies on its object.
-    assert (td["center"] - td["position"])[nodes].norm(dim=1).max() < 0.05
+    assert (scene.center - scene.position)[nodes].norm(dim=1).max() < 0.05
 
 
 def test_recording_shows_masks_sdfs_and_matches(env, tmp_path):
@@ -72,12 +66,13 @@ def test_recording_shows_masks_sdfs_and_matches(env, tmp_path):
         assert any(each.startswith(entity) for each in seen), entity
     # One SDF for each object that is seen to start with, and as many matches drawn as there are.
     assert sum(each.startswith("/sdf/scene/") and each.count("/") == 3 for each in seen) >= 2
-    assert (env.last_step.scene.correspondence >= 0).any()
+    assert env.last_step.after.matched.any()
 
 
 # ------------------------------------------------------------------ what may go wrong
 
-Change = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+# True masks to what is seen instead: masks by row, and which rows are matched with the goal's.
+Change = Callable[[np.ndarray], tuple[np.ndarray, list[bool]]]
 
 
 class Scripted(Perception):
@@ -92,30 +87,32 @@ class Scripted(Perception):
 
     def see(self, view):
         masks = view.true_masks()
-        matches = np.arange(len(masks))
-        return (masks, matches) if self.change is None else self.change(masks)
+        if self.change is None:
+            return masks, np.ones(len(masks), dtype=bool)
+        masks, matched = self.change(masks)
+        return masks, np.array(matched, dtype=bool)
 
 
 def lose_one(masks):
-    return masks[1:], np.array([1, 2])
+    return np.stack([np.zeros_like(masks[0]), *masks[1:]]), [False, True, True]
 
 
 def merge_two(masks):
-    return np.stack([masks[0] | masks[1], masks[2]]), np.array([0, 2])
+    return np.stack([masks[0] | masks[1], np.zeros_like(masks[0]), masks[2]]), [True, False, True]
 
 
 def split_one(masks):
     left = masks[0].copy()
     left[:, np.flatnonzero(masks[0].any(axis=0)).mean().astype(int) :] = False
-    return np.stack([left, masks[0] & ~left, *masks[1:]]), np.array([0, -1, 1, 2])
+    return np.stack([left, *masks[1:], masks[0] & ~left]), [True, True, True, False]
 
 
 def lose_all(masks):
-    return masks[:0], np.zeros(0, dtype=int)
+    return masks[:0], []
 
 
 def hide_all(masks):
-    return np.zeros_like(masks), np.arange(len(masks))
+    return np.zeros_like(masks), [True] * len(masks)
 
 
 @pytest.fixture
@@ -134,16 +131,18 @@ def scripted(env_of: Envs) -> Iterator[RearrangementEnv]:
 def test_wrong_masks_are_ordinary_observations(scripted, change, detections, matches):
     scripted._perception.change = change
     td = scripted.reset_episode(1)
-    assert td["node_mask"].sum() == detections
-    assert (td["correspondence"] >= 0).sum() == matches
+    nodes = td["scene", "node_mask"]
+    assert nodes.sum() == detections
+    assert td["matched"].sum() == matches
+    assert not (td["matched"] & ~nodes).any()
     assert td["action_mask"].any()
     # Legal are pushes of detections alone; where there is none, row 0 stands in.
-    legal = td["action_mask"].view(-1, N_DIRECTIONS).any(dim=1)
+    legal = scripted.push_space.by_direction(td["action_mask"]).any(dim=-1)
     if detections:
-        assert not (legal & ~td["node_mask"]).any()
+        assert not (legal & ~nodes).any()
     for edges in EDGES:
-        graph = scene_graph(td, edges)
-        assert graph.adjacency[: len(td["sdf"]), len(td["sdf"]) :].sum() == matches
+        graph = adjacency_matrix(nodes, td["goal", "node_mask"], td["matched"], edges)
+        assert graph[: len(nodes), len(nodes) :].sum() == matches
     after = act(scripted, td, int(td["action_mask"].int().argmax()))
     assert after["terminated"].item() == (detections == 0)
     terms = scripted.last_step.reward_terms
@@ -161,15 +160,31 @@ def test_an_object_that_vanishes_costs_its_penalty(scripted):
     assert scripted.last_step.reward_terms.get("vanished", 0.0) == 0.0
 
 
-@pytest.mark.parametrize("goal_change", [lose_one, merge_two, split_one, lose_all])
-def test_wrong_masks_of_the_goal(scripted, goal_change):
+@pytest.mark.parametrize(
+    ("goal_change", "rows", "matches"),
+    [
+        (lose_one, [1, 2], 2),
+        (merge_two, [0, 2], 2),
+        (split_one, [0, 1, 2, 3], 3),
+        (lose_all, [], 0),
+    ],
+)
+def test_wrong_masks_of_the_goal(scripted, goal_change, rows, matches):
     scripted._perception.goal_change = goal_change
     td = scripted.reset_episode(3)
-    count = len(goal_change(np.ones((3, 9, 9), dtype=bool))[0])
-    assert td["goal_node_mask"].sum() == count
-    matched = td["correspondence"][td["correspondence"] >= 0]
-    assert td["goal_node_mask"][matched].all()
+    assert np.flatnonzero(td["goal", "node_mask"]).tolist() == rows
+    # Nothing is matched with a goal that is not there.
+    assert not (td["matched"] & ~td["goal", "node_mask"]).any()
+    assert td["matched"].sum() == matches
     act(scripted, td, int(td["action_mask"].int().argmax()))
+    assert scripted.last_step.after.matched.sum() <= matches
+
+
+def test_a_speck_is_no_detection():
+    masks = np.zeros((3, 9, 9), dtype=bool)
+    masks[0, :2, :2] = masks[1, 0, :3] = True
+    assert detected(masks, 3).tolist() == [True, True, False]
+    assert detected(masks, 4).tolist() == [True, False, False]
 
 
 def test_rows_keep_their_goal():

@@ -7,12 +7,12 @@ import pytest
 from configs import CONF, compose_config, real_config
 from omegaconf import OmegaConf
 
-from sdfgcn.episodes import COLUMNS, EpisodeResult, EpisodeTable
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.evaluation.episodes import COLUMNS, EpisodeResult, EpisodeTable
+from sdfgcn.evaluation.paper import paper_figure
+from sdfgcn.evaluation.report import decimal, percent, text
+from sdfgcn.evaluation.results import git_state, mean, summarise, t_interval, wilson
 from sdfgcn.files import write_json
-from sdfgcn.paper import paper_figure
-from sdfgcn.report import decimal, percent, text
-from sdfgcn.results import git_state, mean, summarise, t_interval, wilson
 from sdfgcn.run_folder import RunFolder
 
 

@@ -6,8 +6,8 @@ from shapely import box
 from shapely.affinity import rotate
 from toys import box_points
 
-from sdfgcn.geometry.region import Region
 from sdfgcn.sim.placement import NoRoom, Spacing, footprint, is_free, sample_positions
+from sdfgcn.task.region import Region
 
 SQUARE = box(-0.02, -0.02, 0.02, 0.02)  # 4 cm, centred
 REGION = Region(np.array([-0.1, 0.0]), np.array([0.3, 0.2]))

@@ -5,14 +5,14 @@ import numpy as np
 import pytest
 from conftest import Envs
 from tool import Fingertips
-from toys import BALL, BOX, CAN, SLAB, lay_out, push
+from toys import BALL, BOX, CAN, SLAB, ahead_of, angle_of, lay_out, push
 
-from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.registry import ROBOTS
-from sdfgcn.sim.push import direction_angle, direction_vector, ramped
+from sdfgcn.sim.push import ramped
 from sdfgcn.sim.robots.robot import Unreachable
 
+DIRECTIONS = range(8)
 MIDDLE = np.array([0.02, 0.08])  # metres
 
 
@@ -24,18 +24,18 @@ def env(request: pytest.FixtureRequest, toys_of: Envs) -> RearrangementEnv:
 @pytest.fixture(scope="module")
 def tips(env: RearrangementEnv) -> Fingertips:
     lay_out(env, [BOX], [MIDDLE])
-    return Fingertips(env._environment.physics, env._task.robot)
+    return Fingertips(env.world.physics, env.world.task.robot)
 
 
 def behind(direction: int, distance: float) -> np.ndarray:
-    return MIDDLE - distance * direction_vector(direction)
+    return MIDDLE - distance * ahead_of(direction)
 
 
 # ------------------------------------------------------------------ the tool
 
 
 def test_tool_is_where_the_joints_are_solved_for(env, tips):
-    robot, physics = env._task.robot, env._environment.physics
+    robot, physics = env.world.task.robot, env.world.physics
     arena, approach = env.config.arena, env.config.push.approach
     for x in (*arena.reach_x, 0.1):
         for y in (*arena.reach_y, 0.05):
@@ -48,18 +48,18 @@ def test_tool_is_where_the_joints_are_solved_for(env, tips):
                 assert abs(tips.across(physics.data.ptr) @ side) > np.cos(0.01)
 
 
-@pytest.mark.parametrize("direction", range(N_DIRECTIONS))
+@pytest.mark.parametrize("direction", DIRECTIONS)
 def test_tool_follows_the_path(env, tips, direction):
     """Straight down, straight ahead at the push height, straight up."""
     lay_out(env, [BOX], [(-0.2, -0.1)])
-    ahead, config = direction_vector(direction), env.config.push
+    ahead, config = ahead_of(direction), env.config.push
     begin = behind(direction, 0.05)
     with tips.followed() as followed:
-        record = push(env, begin, direction, free=0.04).record
-    assert record.status == "no_contact"
-    np.testing.assert_allclose(record.start, [*begin, config.height], atol=1e-9)
+        result = push(env, begin, direction, free=0.04).result
+    assert result.status == "no_contact"
+    np.testing.assert_allclose(result.start, [*begin, config.height], atol=1e-9)
     # Nothing was touched, so it went as far as the free distance and the push length.
-    np.testing.assert_allclose(record.end[:2], begin + 0.10 * ahead, atol=1e-9)
+    np.testing.assert_allclose(result.end[:2], begin + 0.10 * ahead, atol=1e-9)
 
     # Before and after, the tool jumps: only what is near the line belongs to the push.
     path, across = np.array(followed.path), np.array(followed.across)
@@ -73,7 +73,7 @@ def test_tool_follows_the_path(env, tips, direction):
     down, up = slice(0, low[0]), slice(low[-1] + 1, None)
 
     close = 0.001
-    if env._task.robot.teleports:
+    if env.world.task.robot.teleports:
         assert low[0] == 0  # it is put there
     else:
         assert path[0] == pytest.approx(config.height + config.approach, abs=0.004)  # one step on
@@ -87,7 +87,7 @@ def test_tool_follows_the_path(env, tips, direction):
     assert along[work].max() == pytest.approx(0.10, abs=close)
     # Straight up as the joints go, which for an arm is not quite straight.
     np.testing.assert_allclose(
-        along[up], 0.10 - config.retreat, atol=0.002 if env._task.robot.teleports else 0.010
+        along[up], 0.10 - config.retreat, atol=0.002 if env.world.task.robot.teleports else 0.010
     )
     # The fingers stand side by side across the push.
     assert np.abs(across[first:last] @ ahead).max() < 0.05
@@ -97,30 +97,30 @@ def test_unreachable_pose_is_said_so(env):
     if env.config.robot.name == "gripper":
         pytest.skip("a floating gripper reaches everything")
     with pytest.raises(Unreachable, match="no joint positions"):
-        env._task.robot.solve(np.array([1.5, 0.0, 0.1, 0.0]))
+        env.world.task.robot.solve(np.array([1.5, 0.0, 0.1, 0.0]))
 
 
 def test_tool_stays_within_its_bounds(env, tips):
     lay_out(env, [BOX], [MIDDLE])
-    record = push(env, (0.30, 0.38), 1, free=0.0).record
+    result = push(env, (0.30, 0.38), 1, free=0.0).result
     # y = 0.40 is reached after 2 cm, x = 0.35 would be after 5 cm.
-    np.testing.assert_allclose(record.end[:2], [0.32, 0.40], atol=1e-9)
+    np.testing.assert_allclose(result.end[:2], [0.32, 0.40], atol=1e-9)
 
 
 # ------------------------------------------------------------------ what it does to objects
 
 
-@pytest.mark.parametrize("direction", range(N_DIRECTIONS))
+@pytest.mark.parametrize("direction", DIRECTIONS)
 @pytest.mark.parametrize("toy", [BOX, SLAB])
 def test_push_moves_a_box_by_its_length(env, toy, direction):
     # The toys are 6 cm deep in x or y; turned so that a face meets the tool squarely.
     half, quarter = (0.03, 0.0) if toy == BOX else (0.03, np.pi / 2)
-    lay_out(env, [toy], [MIDDLE], yaw=direction_angle(direction) + quarter)
+    lay_out(env, [toy], [MIDDLE], yaw=angle_of(direction) + quarter)
     done = push(env, behind(direction, half + 0.03), direction, free=0.03)
-    assert done.record.status == "done"
+    assert done.result.status == "done"
     distance = np.linalg.norm(done.moved[0, :2])
     assert distance == pytest.approx(env.config.push.length, abs=0.015)
-    assert done.moved[0, :2] @ direction_vector(direction) / distance > np.cos(np.radians(10))
+    assert done.moved[0, :2] @ ahead_of(direction) / distance > np.cos(np.radians(10))
     assert abs(done.moved[0, 2]) < 0.0005
 
 
@@ -128,11 +128,11 @@ def test_no_push_throws_an_object(env):
     """The tool leaves what it has pushed behind; thrown up, it would go 8 to 12 cm."""
     furthest = 0.0
     for toy in (BOX, SLAB, BALL, CAN):
-        for direction in range(N_DIRECTIONS):
+        for direction in DIRECTIONS:
             lay_out(env, [toy], [(0.0, 0.28)], yaw=0.4)
-            begin = np.array([0.0, 0.28]) - 0.075 * direction_vector(direction)
+            begin = np.array([0.0, 0.28]) - 0.075 * ahead_of(direction)
             done = push(env, begin, direction, free=0.04)
-            assert done.record.status == "done"
+            assert done.result.status == "done"
             furthest = max(furthest, np.linalg.norm(done.moved[0]))
     assert 0.06 < furthest < env.config.push.length + 0.02
 
@@ -142,14 +142,14 @@ def test_length_counts_from_the_first_touch(env, free):
     """The picture may be wrong by 3 cm either way."""
     lay_out(env, [BOX], [MIDDLE])
     done = push(env, behind(0, 0.06), 0, free)
-    assert done.record.status == "done"
+    assert done.result.status == "done"
     assert done.moved[0, 0] == pytest.approx(env.config.push.length, abs=0.015)
 
 
 def test_push_through_thin_air_moves_nothing(env):
     lay_out(env, [BOX, BALL], [MIDDLE, (-0.2, 0.2)])
     done = push(env, behind(2, 0.2), 2, free=0.0)
-    assert done.record.status == "no_contact"
+    assert done.result.status == "no_contact"
     assert np.abs(done.moved[:, :2]).max() < 1e-4
     assert np.abs(done.moved[:, 2]).max() < 2e-4  # they sink into their contacts
 
@@ -159,9 +159,9 @@ def test_push_through_thin_air_moves_nothing(env):
 def test_descent_onto_an_object_is_given_up(env, toy, direction):
     lay_out(env, [toy], [MIDDLE])
     done = push(env, MIDDLE, direction, free=0.02)
-    assert done.record.status == "blocked"
+    assert done.result.status == "blocked"
     assert np.abs(done.moved).max() < 0.001
-    np.testing.assert_array_equal(done.record.end, done.record.start)
+    np.testing.assert_array_equal(done.result.end, done.result.start)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +170,7 @@ def test_descent_onto_an_object_is_given_up(env, toy, direction):
 def test_start_out_of_bounds_moves_nothing(env, start):
     lay_out(env, [BOX, BALL], [MIDDLE, (-0.2, 0.2)])
     done = push(env, start, 4, free=0.02)
-    assert done.record.status == "unreachable"
+    assert done.result.status == "unreachable"
     np.testing.assert_array_equal(done.after, done.before)
 
 
@@ -182,13 +182,16 @@ def test_robots_push_alike(env_of: Envs):
     for seed in range(18):
         legal = [env.reset_episode(seed)["action_mask"].numpy() for env in envs]
         np.testing.assert_array_equal(legal[0], legal[1])
-        start = envs[0].episode_start.scene.poses
+        start, space = envs[0].episode_start.start, envs[0].push_space
+        rows = start.scene.node_mask.numpy()
+        seen = start.scene.masks.numpy()[rows], start.scene.sdf.numpy()[rows]
+        plan = space.plan(*seen)
         for action in rng.choice(np.flatnonzero(legal[0]), size=3, replace=False):
-            slot, direction = divmod(action, N_DIRECTIONS)
-            command = envs[0]._plan.command(slot, direction)
+            slot, direction = space.decode(int(action))
+            command = space.command(plan, rows, slot, direction)
             pair = []
             for env in envs:
-                env._task.resume(env._environment.physics, start)
+                env.world.task.set_poses(env.world.physics, start.poses)
                 pair.append(push(env, command.start, direction, command.free).moved[slot, :2])
             moves.append(pair)
     assert len(moves) >= 50
@@ -225,7 +228,7 @@ def test_ramps_by_hand():
 def test_drives_do_not_chatter(env, seed):
     """Where torque limits cut in, the arm's drives went to and fro between them at every step."""
     lay_out(env, [BOX], [(-0.2, -0.1)])
-    physics, robot = env._environment.physics, env._task.robot
+    physics, robot = env.world.physics, env.world.task.robot
     limits = physics.model.actuator_forcerange[robot.drive_ids, 1]
     shares, step = [], mujoco.mj_step
 
@@ -238,7 +241,7 @@ def test_drives_do_not_chatter(env, seed):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(mujoco, "mj_step", spy)
         done = push(env, rng.uniform([0.0, 0.0], [0.2, 0.3]), int(rng.integers(8)), free=0.04)
-    assert done.record.status == "no_contact" and len(shares) > 50
+    assert done.result.status == "no_contact" and len(shares) > 50
     full = np.array(shares)
     turned = (np.abs(np.diff(full, axis=0)) > 1.5).any(axis=1)  # from one limit to the other
     assert turned.sum() <= 2
@@ -248,7 +251,7 @@ def test_descent_that_touches_is_given_up(toys_of: Envs, monkeypatch):
     """Should the way not be free after all, as for an arm that strays from it."""
     env = toys_of("ur5e")
     lay_out(env, [BOX], [MIDDLE])
-    monkeypatch.setattr(env._task._primitive, "_free", lambda *_: True)
+    monkeypatch.setattr(env.world.task._primitive, "_free", lambda *_: True)
     done = push(env, MIDDLE, 0, free=0.02)
-    assert done.record.status == "blocked"
+    assert done.result.status == "blocked"
     assert np.linalg.norm(done.moved) < 0.01

@@ -17,7 +17,7 @@ from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.registry import SCENARIOS
-from sdfgcn.sim.episode import Episode, draw_episode
+from sdfgcn.sim.episode import EpisodeSpec, draw_episode
 from sdfgcn.sim.placement import NoRoom
 from sdfgcn.sim.scenarios.scenario import Situation
 from sdfgcn.sim.scenarios.swap import Swap
@@ -36,11 +36,11 @@ def config(scenario: str, n: int) -> EnvConfig:
 
 
 @pytest.fixture(scope="module")
-def draws(catalogue) -> Callable[[str, int], list[Episode]]:
+def draws(catalogue) -> Callable[[str, int], list[EpisodeSpec]]:
     """Episodes of a scenario with n objects; drawn once for all tests."""
 
     @cache
-    def draw(scenario: str, n: int) -> list[Episode]:
+    def draw(scenario: str, n: int) -> list[EpisodeSpec]:
         return [draw_episode(seed, catalogue, config(scenario, n)) for seed in SEEDS]
 
     return draw

@@ -4,28 +4,34 @@ from collections import Counter
 
 import numpy as np
 import pytest
+import torch
 from configs import real_config
+from tensordict import TensorDict
 
-from sdfgcn.train.curriculum import Counts, Curriculum
+from sdfgcn.train.curriculum import Curriculum, ObjectCountSampler
 
 
-def drawn(counts: Counts, n: int = 2000) -> dict[int, float]:
+def drawn(counts: ObjectCountSampler, n: int = 2000) -> dict[int, float]:
     rng = np.random.default_rng(0)
     return {count: seen / n for count, seen in Counter(counts.draw(rng) for _ in range(n)).items()}
 
 
 def test_off_is_always_n_objects() -> None:
-    assert drawn(Counts(real_config("curriculum=off").curriculum, 5), n=9) == {5: 1.0}
+    assert drawn(
+        ObjectCountSampler(real_config("model=sdfgcn", "curriculum=off").curriculum, 5), n=9
+    ) == {5: 1.0}
 
 
 def test_random_draws_evenly() -> None:
-    shares = drawn(Counts(real_config("curriculum=random").curriculum, 3))
+    shares = drawn(
+        ObjectCountSampler(real_config("model=sdfgcn", "curriculum=random").curriculum, 3)
+    )
     assert shares == pytest.approx({2: 1 / 3, 3: 1 / 3, 4: 1 / 3}, abs=0.05)
 
 
 def test_on_grows_with_success_at_the_newest_count() -> None:
-    config = real_config("curriculum=on").curriculum
-    counts = Counts(config, 3)
+    config = real_config("model=sdfgcn", "curriculum=on").curriculum
+    counts = ObjectCountSampler(config, 3)
     curriculum = Curriculum(config, counts)
     assert drawn(counts) == {2: 1.0}
     for _ in range(49):
@@ -48,9 +54,31 @@ def test_on_grows_with_success_at_the_newest_count() -> None:
     assert counts.newest == 4
 
 
+def test_ends_of_episodes_are_heard_of_from_the_env() -> None:
+    """By the number of objects that the env tells, whatever of the goal was detected."""
+    config = real_config("model=sdfgcn", "curriculum=on", "curriculum.window=2").curriculum
+    counts = ObjectCountSampler(config, 3)
+    curriculum = Curriculum(config, counts)
+    pushes = TensorDict(
+        {
+            "goal": {"node_mask": torch.zeros(4, 3, dtype=torch.bool)},
+            "next": {
+                "done": torch.tensor([[False], [True], [True], [True]]),
+                "success": torch.tensor([[False], [True], [True], [True]]),
+                "n_objects": torch.tensor([[2], [2], [3], [2]]),  # 3 is not the newest yet
+            },
+        },
+        batch_size=[4],
+    )
+    curriculum.pushed(pushes[:3])
+    assert counts.newest == 2
+    curriculum.pushed(pushes[3:])
+    assert counts.newest == 3
+
+
 def test_goes_on_from_its_state() -> None:
-    config = real_config("curriculum=on").curriculum
-    before, after = Counts(config, 3), Counts(config, 3)
+    config = real_config("model=sdfgcn", "curriculum=on").curriculum
+    before, after = (ObjectCountSampler(config, 3) for _ in range(2))
     first, second = Curriculum(config, before), Curriculum(config, after)
     for _ in range(99):
         first.episode_ended(before.newest, True)
@@ -61,4 +89,6 @@ def test_goes_on_from_its_state() -> None:
 
 
 def test_counts_are_shared_between_processes() -> None:
-    assert Counts(real_config("curriculum=on").curriculum, 3).reached.is_shared()
+    assert ObjectCountSampler(
+        real_config("model=sdfgcn", "curriculum=on").curriculum, 3
+    ).reached.is_shared()

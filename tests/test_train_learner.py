@@ -11,10 +11,14 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
-from sdfgcn.config import N_DIRECTIONS
-from sdfgcn.train.learner import Explorer, Learner
+from sdfgcn.task.push_space import PushSpace
+from sdfgcn.train.exploration import EpsilonGreedyPolicy
+from sdfgcn.train.learner import Learner
 
-TRAIN = real_config("model=sdfgcn").train
+CONFIG = real_config("model=sdfgcn")
+TRAIN = CONFIG.train
+N_DIRECTIONS = CONFIG.env.push.directions
+ACTIONS = PushSpace(CONFIG.env.push, CONFIG.env.arena).spec(1)
 
 
 class Constant(TensorDictModuleBase):
@@ -60,7 +64,7 @@ def learner(**news: object) -> Learner:
     train = copy.copy(TRAIN)
     for key, value in {"loss": "l2", "learning_rate": 0.1, "target_interval": 2, **news}.items():
         setattr(train, key, value)
-    return Learner(Constant([1.0, 2.0, 5.0, *[0.0] * 5]), 1, train, "cpu")
+    return Learner(Constant([1.0, 2.0, 5.0, *[0.0] * 5]), ACTIONS, train, "cpu")
 
 
 @pytest.mark.parametrize(
@@ -121,16 +125,18 @@ def test_precision_is_tried_on_a_copy() -> None:
 
 def test_epsilon_falls_and_pushes_are_legal() -> None:
     torch.manual_seed(0)
-    explorer = Explorer(Constant([1.0, 2.0, 5.0, *[0.0] * 5]), 1, TRAIN, epsilon_pushes=100)
-    assert explorer.epsilon == pytest.approx(TRAIN.epsilon_start)
-    explorer.pushed(50)
+    policy = EpsilonGreedyPolicy(
+        Constant([1.0, 2.0, 5.0, *[0.0] * 5]), ACTIONS, TRAIN, epsilon_pushes=100
+    )
+    assert policy.epsilon == pytest.approx(TRAIN.epsilon_start)
+    policy.pushed(50)
     middle = (TRAIN.epsilon_start + TRAIN.epsilon_end) / 2
-    assert explorer.epsilon == pytest.approx(middle, abs=1e-3)
-    explorer.pushed(500)
-    assert explorer.epsilon == pytest.approx(TRAIN.epsilon_end)
+    assert policy.epsilon == pytest.approx(middle, abs=1e-3)
+    policy.pushed(500)
+    assert policy.epsilon == pytest.approx(TRAIN.epsilon_end)
     observation = batch(0.0, False, [0]).exclude("next")
     observation["action_mask"][0, [2, 5]] = False
-    taken = [int(explorer.policy(observation.clone())["action"]) for _ in range(300)]
+    taken = [int(policy.module(observation.clone())["action"]) for _ in range(300)]
     assert set(taken) == {0, 1, 3, 4, 6, 7}
     assert taken.count(1) / 300 > 0.85
 
@@ -155,10 +161,10 @@ def test_the_average_goes_on_from_a_checkpoint() -> None:
     assert torch.equal(there.averaged.values, here.averaged.values)
 
 
-def test_the_actors_follow_the_learner() -> None:
+def test_who_pushes_follows_the_learner() -> None:
     held = learner()
-    explorer = Explorer(held.network, 1, TRAIN, epsilon_pushes=100)
+    policy = EpsilonGreedyPolicy(held.network, ACTIONS, TRAIN, epsilon_pushes=100)
     held.update(batch(9.0, True, [0]))
-    explorer.follow(held.network)
-    td = explorer.policy(batch(0.0, False, [0]).exclude("next"))
+    policy.load_weights(held.network)
+    td = policy.module(batch(0.0, False, [0]).exclude("next"))
     assert float(td["action_value"][0, 0]) == float(held.network.values[0].detach()) != 1.0

@@ -20,7 +20,7 @@ from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.experiment import run_experiment
-from sdfgcn.loggers import TensorboardLogger, WandbLogger
+from sdfgcn.loggers.services import TensorboardLogger, WandbLogger
 from sdfgcn.run_folder import RunFolder
 
 ROOT = Path(__file__).parents[1]
@@ -107,10 +107,10 @@ def test_a_missing_logger_is_one_sentence(
 ) -> None:
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(SdfgcnError, match=r"pip install 'sdfgcn\[(tensorboard|wandb)\]'"):
-        logger(tmp_path)
+        logger(real_config().logger, tmp_path)
 
 
 def test_tensorboard_gets_the_figures(tmp_path: Path) -> None:
     pytest.importorskip("tensorboard")
-    TensorboardLogger(tmp_path).log(3, {"train/loss": 0.5})
+    TensorboardLogger(real_config().logger, tmp_path).log(3, {"train/loss": 0.5})
     assert list((tmp_path / "tensorboard").glob("events.*"))

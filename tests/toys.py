@@ -1,21 +1,21 @@
 """A catalogue of plain bodies whose sizes are known, and episodes laid out by hand."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
-import pytest
+import torch
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
-from sdfgcn.sim.types import Push
 from tensordict import TensorDictBase
 
 from sdfgcn.config import EnvConfig
-from sdfgcn.envs import rearrangement
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.objects.primitives import circle
-from sdfgcn.sim.episode import Episode
+from sdfgcn.sim.episode import EpisodeSpec
+from sdfgcn.sim.world import MujocoWorld
+from sdfgcn.task.world import PushCommand, PushResult
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 ON_ITS_SIDE = (0.5**0.5, 0.5**0.5, 0.0, 0.0)  # a quarter turn about x
@@ -78,9 +78,7 @@ TOYS = (
 
 def toy_env(config: EnvConfig) -> RearrangementEnv:
     """An environment whose catalogue is TOYS."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rearrangement, "load_catalogue", lambda objects, split: TOYS)
-        return RearrangementEnv(config, seed=0)
+    return RearrangementEnv(config, seed=0, world=MujocoWorld(config, TOYS))
 
 
 def lay_out(
@@ -99,7 +97,7 @@ def lay_out(
         goal: Metres; where nothing is pushed to if None: the far corner of the allowed region.
         yaw: Turns every object, radians.
     """
-    rests = [env.catalogue[i].rests[0] for i in objects]
+    rests = [env.world.catalogue[i].rests[0] for i in objects]
     turn = Rotation.from_euler("z", yaw)
     upright = [
         [
@@ -108,7 +106,7 @@ def lay_out(
         ]
         for rest in rests
     ]
-    episode = Episode(
+    episode = EpisodeSpec(
         seed=0,
         objects=np.array(objects),
         start=np.hstack([start, upright]),
@@ -118,17 +116,24 @@ def lay_out(
     return begin(env, episode)
 
 
-def begin(env: RearrangementEnv, episode: Episode) -> TensorDictBase:
+def begin(env: RearrangementEnv, episode: EpisodeSpec) -> TensorDictBase:
     """Begin any episode, also one that the environment's own scenario would not draw."""
-    rng = np.random.default_rng(0).bit_generator.state
-    return env.restore_state({"episode": episode, "poses": episode.start, "pushes": 0, "rng": rng})
+    drawn = {key: np.asarray(value).tolist() for key, value in asdict(episode).items()}
+    return env.restore_state(
+        {
+            "world": {"episode": drawn, "poses": drawn["start"]},
+            "seed": episode.seed,
+            "pushes": 0,
+            "rng": np.random.default_rng(0).bit_generator.state,
+        }
+    )
 
 
 @dataclass(frozen=True)
 class Pushed:
     """A push at hand-picked coordinates and what it did; [n, 7] poses."""
 
-    record: Push
+    result: PushResult
     before: np.ndarray
     after: np.ndarray
 
@@ -138,14 +143,34 @@ class Pushed:
         return (self.after - self.before)[:, :3]
 
 
+def angle_of(direction: int) -> float:
+    """Where one of 8 directions heads, radians counter-clockwise from the x axis."""
+    return direction * np.pi / 4
+
+
+def ahead_of(direction: int) -> np.ndarray:
+    """[2] the unit vector of one of 8 directions."""
+    return np.array([np.cos(angle_of(direction)), np.sin(angle_of(direction))])
+
+
 def push(env: RearrangementEnv, start: Sequence[float], direction: int, free: float) -> Pushed:
     """Push from `start` [2] whatever the picture says, past the planning of the environment."""
-    task, world = env._task, env._environment
-    before = task.poses(world.physics)
-    world.step(np.array([*start, direction, free]))
-    return Pushed(task.last_push, before, task.poses(world.physics))
+    before = env.world.poses()
+    result = env.world.execute(PushCommand(np.array(start), angle_of(direction), free))
+    return Pushed(result, before, env.world.poses())
 
 
 def act(env: RearrangementEnv, td: TensorDictBase, action: int) -> TensorDictBase:
     """Take one step; what the env returns under "next"."""
     return env.step(td.clone().set("action", action))["next"]
+
+
+def leaves(td: TensorDictBase) -> dict[str | tuple[str, ...], torch.Tensor]:
+    """A copy of every tensor of an observation, by its key."""
+    return {key: td[key].clone() for key in td.keys(include_nested=True, leaves_only=True)}
+
+
+def assert_equal(td: TensorDictBase, other: TensorDictBase) -> None:
+    """Every tensor of an observation, bit for bit; `other` may hold more."""
+    for key, value in leaves(td).items():
+        assert torch.equal(value, other[key]), key

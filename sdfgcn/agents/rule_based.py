@@ -8,8 +8,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from sdfgcn.config import Config
-from sdfgcn.push_space import PushSpace
 from sdfgcn.registry import MODELS
+from sdfgcn.task.push_space import PushSpace
 
 
 @MODELS.register("rule_based")

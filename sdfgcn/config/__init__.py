@@ -31,6 +31,7 @@ from sdfgcn.config.env import (
     RobotConfig,
     ScenarioConfig,
     SegmentationConfig,
+    WorldConfig,
 )
 from sdfgcn.config.experiment import (
     Config,

@@ -196,6 +196,11 @@ class PerceptionConfig(ComponentConfig):
 
 
 @dataclass
+class WorldConfig(ComponentConfig):
+    """Where the objects are: a simulation or a real table (`conf/world/`)."""
+
+
+@dataclass
 class EnvConfig:
     """The task and everything it stands on (`conf/env/`)."""
 
@@ -210,6 +215,7 @@ class EnvConfig:
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)
     push: PushConfig = field(default_factory=PushConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
+    world: WorldConfig = field(default_factory=WorldConfig)
     objects: ObjectsConfig = field(default_factory=ObjectsConfig)
     robot: RobotConfig = field(default_factory=RobotConfig)
     scenario: ScenarioConfig = field(default_factory=ScenarioConfig)

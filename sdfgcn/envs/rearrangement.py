@@ -15,13 +15,13 @@ from sdfgcn.config import EnvConfig
 from sdfgcn.envs.records import EpisodeStart, Push, Snapshot, StepRecord
 from sdfgcn.envs.reward import reward_terms
 from sdfgcn.envs.standing import Standing, nearest_objects, seen_standing, true_standing
-from sdfgcn.geometry.region import Region
 from sdfgcn.perception.base import detected
 from sdfgcn.perception.sdf import SdfTransform
-from sdfgcn.push_space import PushSpace
-from sdfgcn.registry import PERCEPTIONS
-from sdfgcn.scene import Detections, Scene
-from sdfgcn.world import View, World
+from sdfgcn.registry import PERCEPTIONS, WORLDS
+from sdfgcn.task.push_space import PushSpace
+from sdfgcn.task.region import Region
+from sdfgcn.task.scene import Detections, Scene
+from sdfgcn.task.world import View, World
 
 
 class RearrangementEnv(EnvBase):
@@ -65,7 +65,7 @@ class RearrangementEnv(EnvBase):
         Args:
             config: The `env` part of the experiment's config.
             seed: Seed of the episodes' seeds; drawn by torch if None.
-            world: Where to push; the simulation that the config describes if None.
+            world: Where to push; the one that the config names if None.
 
         Raises:
             SdfgcnError: The catalogue or the perception's weights cannot be had, or the config
@@ -79,7 +79,7 @@ class RearrangementEnv(EnvBase):
         self.n_objects = config.n_objects
         self.push_space = PushSpace(config.push, arena)
         self._perception = perception(config.perception, config.max_objects)
-        self.world = _simulated(config) if world is None else world
+        self.world: World = world or WORLDS.find(config.world.name)(config)
         self._allowed = Region.range(arena)
         self.record = False
         self._episode_seed: int | None = None
@@ -294,9 +294,3 @@ class RearrangementEnv(EnvBase):
         if not self.is_closed:
             self.world.close()
         super().close(raise_if_closed=raise_if_closed)
-
-
-def _simulated(config: EnvConfig) -> World:
-    from sdfgcn.sim.world import MujocoWorld  # another world needs no MuJoCo
-
-    return MujocoWorld(config)

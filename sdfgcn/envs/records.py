@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from sdfgcn.geometry.camera import CameraModel
-from sdfgcn.scene import Scene
-from sdfgcn.world import PushResult, Truth
+from sdfgcn.task.camera import CameraModel
+from sdfgcn.task.scene import Scene
+from sdfgcn.task.world import PushResult, Truth
 
 
 @dataclass(frozen=True)

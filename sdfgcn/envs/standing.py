@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from sdfgcn.geometry.region import Region
-from sdfgcn.scene import Scene
+from sdfgcn.task.region import Region
+from sdfgcn.task.scene import Scene
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 # Whether the nodes of one picture are connected with each other: the paper's graph, and that of
 # its ablation SDFGCN-separate.

@@ -1,14 +1,17 @@
 """Layers of the Q-networks: blocks, propagation along edges, the last linear layers.
 
-Propagation is the paper's rule H' = act(D^-1/2 (A + I) D^-1/2 H W) with a convolution (or, for
-positions, a linear layer) as W (section V B). Taken as it reads, `shared`, it cannot solve the
-task. In a complete graph whose n objects all have their goals, every node has n + 1 edges with
-itself, so a current node i gets (sum of all current nodes + its goal) / (n + 1) and forgets which
-of the current ones it was. Two such layers give it the sum over all current nodes of a function of
-their goals, and its own features by way of its goal's node: exchange the goals of two objects, and
-no Q-value changes. `split` is the same rule with weights of its own for the self loop,
-H' = act(D^-1/2 (A H W + I H W_own) D^-1/2), in the way of the authors' code; with W_own = W it is
-the paper's.
+Propagation is the paper's rule H' = act(D^-1/2 (A + I) D^-1/2 H W), with a convolution as W or,
+for positions, a linear layer (section V B).
+
+`shared` is that rule as written, and it cannot solve the task. Take a complete graph in which all
+n objects have their goals. Every node then has degree n + 1, and a current node gets
+(the sum of all current nodes + its goal's node) / (n + 1): which of the current nodes it was itself
+is lost. Two such layers give it a sum over all objects, in which nobody knows whose goal is whose,
+and its own features, which come back through its goal's node. Exchange the goals of two objects,
+and no Q-value changes.
+
+`split` gives the self loop weights of its own, as the authors' code does:
+H' = act(D^-1/2 (A H W + I H W_own) D^-1/2). With W_own = W the two are the same.
 """
 
 from __future__ import annotations
@@ -24,8 +27,8 @@ from torch.nn.functional import relu
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.models.graph import OccupiedNodes
 
-# In a graph of three objects with goals, a node gets a quarter of each of three neighbours and of
-# itself; these gains give the two sums a node's own size again.
+# In a graph of three objects with goals, a node gets a quarter of each of its three neighbours and
+# a quarter of itself. With these gains, both parts are as large as one node's features.
 NEIGHBOURS_GAIN, OWN_GAIN = 4.0 / 3.0, 4.0
 
 # Whether the self loop has weights of its own.
@@ -33,14 +36,14 @@ PROPAGATIONS: dict[str, bool] = {"split": True, "shared": False}
 
 
 class Propagation(nn.Module):
-    """One propagation layer, node features in and out with the same number of channels."""
+    """One propagation layer; as many channels come out as go in."""
 
     def __init__(self, layer: Callable[..., nn.Module], propagation: str):
         """Make the weights.
 
         Args:
             layer: Makes a convolution or linear layer, called with `bias`.
-            propagation: "split" or "shared", see the module's text.
+            propagation: A key of `PROPAGATIONS`; the module's docstring explains them.
         """
         super().__init__()
         self.weights = layer(bias=True)
@@ -51,12 +54,12 @@ class Propagation(nn.Module):
 
         Args:
             rows: [M, ...] features of the occupied nodes.
-            nodes: The graphs that these belong to.
-            current_only: Whether to compute the current picture's nodes alone, as suffices in the
-                last layer.
+            nodes: The graphs that they belong to.
+            current_only: Whether to compute the current scene's nodes alone: the last layer needs
+                no others.
 
         Returns:
-            The nodes' new features, the same shape, or the current nodes' [M_current, ...].
+            The new features [M, ...], or those of the current nodes [M_current, ...].
         """
         mixed = nodes.mix(rows, own=self.own_weights is None)
         share = nodes.own_share().to(rows.dtype)
@@ -67,6 +70,26 @@ class Propagation(nn.Module):
             share = share.reshape(-1, *(1,) * (rows.dim() - 1))
             spread += self.own_weights(rows).mul_(share)
         return relu(spread, inplace=True)
+
+
+def propagate(
+    blocks: nn.ModuleList, propagations: nn.ModuleList, rows: Tensor, nodes: OccupiedNodes
+) -> Tensor:
+    """Run the sets of block and propagation layer (paper Fig. 4).
+
+    Args:
+        blocks: Each is followed by the propagation layer of the same index.
+        propagations: As many.
+        rows: [M, ...] features of the occupied nodes.
+        nodes: The graphs that they belong to.
+
+    Returns:
+        [M_current, ...] features of the current scene's nodes.
+    """
+    last = len(blocks) - 1
+    for i, (block, propagation) in enumerate(zip(blocks, propagations, strict=True)):
+        rows = propagation(block(rows), nodes, current_only=i == last)
+    return rows
 
 
 def conv_block(
@@ -129,14 +152,14 @@ def check_widths(
 
 @torch.no_grad()
 def initialise(network: nn.Module, generator: Generator) -> None:
-    """Draw all weights for ReLUs (He et al. 2015), with biases of zero."""
+    """Draw convolutions and linear layers for ReLUs (He et al. 2015), with biases of zero."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d | nn.Linear):
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu", generator=generator)
             if module.bias is not None:
                 module.bias.zero_()
-    # The sum of two layers' outputs has twice the variance of one. And D^-1/2 (A + I) D^-1/2 makes
-    # its inputs smaller.
+    # A split layer adds two outputs, which doubles the variance, and normalising the adjacency has
+    # made its inputs smaller.
     for module in network.modules():
         if isinstance(module, Propagation) and module.own_weights is not None:
             module.weights.weight.mul_(math.sqrt(0.5) * NEIGHBOURS_GAIN)  # type: ignore[operator]

@@ -13,10 +13,17 @@ from torch import Tensor, nn
 
 from sdfgcn.config import QNetworkConfig, at_least, lookup, positive
 from sdfgcn.models.graph import EDGES, OccupiedNodes
-from sdfgcn.models.layers import PROPAGATIONS, Propagation, check_widths, linear_block, q_head
+from sdfgcn.models.layers import (
+    PROPAGATIONS,
+    Propagation,
+    check_widths,
+    linear_block,
+    propagate,
+    q_head,
+)
 from sdfgcn.models.q_network import QNetwork, spread_to_rows
 from sdfgcn.registry import MODELS
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 # Which positions a network can read of a scene, [*B, N, 2] in metres.
 POSITIONS: dict[str, Callable[[Scene], Tensor]] = {
@@ -88,8 +95,5 @@ class PoseGcn(QNetwork):
         nodes = OccupiedNodes(scene, goal, matched, self._edges)
         positions = nodes.gather(self._position(scene), self._position(goal)) / self._unit
         rows = torch.cat([positions, nodes.is_goal.to(positions.dtype).unsqueeze(-1)], dim=-1)
-        layers = list(zip(self.blocks, self.propagations, strict=True))
-        for block, propagation in layers:
-            last = propagation is layers[-1][1]
-            rows = propagation(block(rows), nodes, current_only=last)
+        rows = propagate(self.blocks, self.propagations, rows, nodes)
         return spread_to_rows(self.head(rows), scene.node_mask)

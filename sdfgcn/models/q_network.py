@@ -11,7 +11,7 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
 from sdfgcn.config import QNetworkConfig
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 
 class QNetwork(TensorDictModuleBase):

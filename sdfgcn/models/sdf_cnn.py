@@ -13,7 +13,7 @@ from sdfgcn.models.layers import conv_block, q_head
 from sdfgcn.models.pictures import PICTURES, ConvConfig
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.registry import MODELS
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 
 @dataclass

@@ -11,11 +11,18 @@ from torch import Tensor, nn
 
 from sdfgcn.config import lookup
 from sdfgcn.models.graph import EDGES, OccupiedNodes
-from sdfgcn.models.layers import PROPAGATIONS, Propagation, conv_block, in_channels_last, q_head
+from sdfgcn.models.layers import (
+    PROPAGATIONS,
+    Propagation,
+    conv_block,
+    in_channels_last,
+    propagate,
+    q_head,
+)
 from sdfgcn.models.pictures import PICTURES, ConvConfig
 from sdfgcn.models.q_network import QNetwork, spread_to_rows
 from sdfgcn.registry import MODELS
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 
 @dataclass
@@ -77,8 +84,5 @@ class SdfGcn(QNetwork):
         # Channels last, where the weights are: else each convolution would copy its input twice.
         dim = -1 if in_channels_last(self.blocks[0]) else 1
         rows = torch.stack([picture, label], dim).movedim(dim, 1)
-        layers = list(zip(self.blocks, self.propagations, strict=True))
-        for block, propagation in layers:
-            last = propagation is layers[-1][1]
-            rows = propagation(block(rows), nodes, current_only=last)
+        rows = propagate(self.blocks, self.propagations, rows, nodes)
         return spread_to_rows(self.head(rows), scene.node_mask)

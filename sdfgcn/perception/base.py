@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdfgcn.config import PerceptionConfig
-from sdfgcn.world import View
+from sdfgcn.task.world import View
 
 
 class Perception(abc.ABC):

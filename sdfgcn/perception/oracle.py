@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sdfgcn.perception.base import Perception
 from sdfgcn.registry import PERCEPTIONS
-from sdfgcn.world import View
+from sdfgcn.task.world import View
 
 
 @PERCEPTIONS.register("oracle")

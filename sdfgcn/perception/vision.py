@@ -9,7 +9,7 @@ from sdfgcn.config import PerceptionConfig
 from sdfgcn.perception.base import Perception
 from sdfgcn.perception.matching import Matcher
 from sdfgcn.registry import PERCEPTIONS, SEGMENTERS
-from sdfgcn.world import View
+from sdfgcn.task.world import View
 
 
 @PERCEPTIONS.register("vision")

@@ -16,12 +16,12 @@ from shapely import Polygon
 from shapely.affinity import translate
 
 from sdfgcn.config import ArrangementsConfig, EnvConfig
-from sdfgcn.geometry.region import Region
 from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.segmentation.appearance import Appearance, paint
 from sdfgcn.sim.episode import EpisodeSpec
 from sdfgcn.sim.placement import footprint
 from sdfgcn.sim.world import MujocoWorld
+from sdfgcn.task.region import Region
 
 MAX_TRIES = 60  # places tried for an object before it is left out
 SLIDE = 0.002  # m, step in which an object slides up to the one it shall touch

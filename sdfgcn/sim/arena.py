@@ -5,7 +5,7 @@ from __future__ import annotations
 from dm_control import composer
 
 from sdfgcn.config import ArenaConfig, PhysicsConfig
-from sdfgcn.geometry.camera import camera_model
+from sdfgcn.task.camera import camera_model
 
 # Geom groups decide what a picture shows and cost nothing to switch.
 GROUP_SCENE = 0  # visible props: in every picture

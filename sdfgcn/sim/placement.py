@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from shapely import LineString, Polygon
 from shapely.affinity import translate
 
-from sdfgcn.geometry.region import Region
+from sdfgcn.task.region import Region
 
 
 class NoRoom(Exception):  # noqa: N818 - an outcome of sampling; the caller draws again

@@ -11,9 +11,9 @@ from dm_control import mjcf
 from numpy.typing import NDArray
 
 from sdfgcn.config import ArenaConfig, PushConfig
-from sdfgcn.geometry.region import Region
 from sdfgcn.sim.robots.robot import Robot, Unreachable
-from sdfgcn.world import PushCommand, PushResult
+from sdfgcn.task.region import Region
+from sdfgcn.task.world import PushCommand, PushResult
 
 NEGLIGIBLE = 0.1  # rad/s2 or m/s2 of a drive, for which no feed-forward is worked out
 

@@ -17,7 +17,7 @@ from sdfgcn.sim.arena import GROUP_PARKED, GROUP_SCENE, Table
 from sdfgcn.sim.episode import EpisodeSpec
 from sdfgcn.sim.props import CONAFFINITY_PROP, CONTYPE_PROP, PARKING, Prop
 from sdfgcn.sim.push import PushPrimitive
-from sdfgcn.world import PushCommand, PushResult
+from sdfgcn.task.world import PushCommand, PushResult
 
 READY_TO_SLEEP = -1  # to which MuJoCo counts tree_asleep up while a tree lies still
 SETTLE_STEPS = 5  # simulation steps between two looks at whether the props are at rest

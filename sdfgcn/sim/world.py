@@ -12,17 +12,19 @@ from dm_control import composer, mjcf
 from numpy.typing import NDArray
 
 from sdfgcn.config import EnvConfig
-from sdfgcn.geometry.camera import CameraModel, camera_model
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.objects.model import ObjectModel
+from sdfgcn.registry import WORLDS
 from sdfgcn.sim.episode import EpisodeSpec, draw_episode
 from sdfgcn.sim.renderer import Renderer
 from sdfgcn.sim.task import RearrangementTask
-from sdfgcn.world import PushCommand, PushResult, Truth
+from sdfgcn.task.camera import CameraModel, camera_model
+from sdfgcn.task.world import PushCommand, PushResult, Truth
 
 
+@WORLDS.register("mujoco")
 class MujocoWorld:
-    """A `sdfgcn.world.World` in MuJoCo.
+    """A `sdfgcn.task.world.World` in MuJoCo.
 
     Attributes:
         camera: Takes every picture.

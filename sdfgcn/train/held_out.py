@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import torch
+
 from sdfgcn.files import CsvTable
 from sdfgcn.loggers import Logger
 from sdfgcn.models.q_network import QNetwork
@@ -51,7 +53,8 @@ class HeldOutCurve:
         if self._evaluate is None or self._every is None:
             return
         if pushes // self._every > self._last // self._every:
-            figures = self._evaluate(network())
+            with torch.random.fork_rng():  # the training goes on as if nobody had looked
+                figures = self._evaluate(network())
             self._table.append({"pushes": pushes, **figures})
             self._logger.log(pushes, {f"eval/{name}": value for name, value in figures.items()})
         self._last = pushes

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from sdfgcn.config import EnvConfig, HerConfig
 from sdfgcn.envs.reward import reward_terms
-from sdfgcn.scene import Scene
+from sdfgcn.task.scene import Scene
 
 
 class Hindsight:
@@ -113,8 +113,9 @@ def relabelled(
     """
     scene, outcome = pushes["scene"], pushes["next", "scene"]
     offsets = outcome.position - scene.position
-    rows = (offsets.norm(dim=-1) > min_displacement) & scene.node_mask & pushes["matched"]
-    rows &= achieved["scene"].node_mask
+    rows = offsets.norm(dim=-1) > min_displacement
+    for moment in (pushes, pushes["next"], achieved):  # else a row may show another object there
+        rows &= moment["matched"]
     some = rows.any(dim=-1) & (scene.node_mask == outcome.node_mask).all(dim=-1)
     if not some.any():
         return None

@@ -16,7 +16,6 @@ from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
 
 from sdfgcn.config import TrainConfig, lookup
-from sdfgcn.errors import SdfgcnError
 
 PRECISIONS = {"float32": None, "bfloat16": torch.bfloat16}
 TRIALS = 2  # updates that are timed for each precision
@@ -36,14 +35,7 @@ class Learner:
             actions: The spec of an action.
             train: The learning's numbers.
             device: Where to compute.
-
-        Raises:
-            SdfgcnError: There is no such device.
         """
-        if device.startswith("cuda") and not torch.cuda.is_available():
-            raise SdfgcnError(
-                f"runtime.device is '{device}', but torch sees no such GPU; use runtime=cpu."
-            )
         self._train = train
         self._device = torch.device(device)
         # A third less time an update on a CPU, and nothing else changes.

@@ -11,8 +11,8 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.envs.transforms import Transform
 
-from sdfgcn.push_space import PushSpace
-from sdfgcn.scene import Scene
+from sdfgcn.task.push_space import PushSpace
+from sdfgcn.task.scene import Scene
 
 
 def mirrored(transition: TensorDictBase, push_space: PushSpace) -> TensorDictBase:

@@ -18,8 +18,8 @@ from torchrl.envs.transforms import Transform
 
 from sdfgcn.config import Config
 from sdfgcn.perception.sdf import SdfTransform
-from sdfgcn.push_space import PushSpace
-from sdfgcn.scene import Scene
+from sdfgcn.task.push_space import PushSpace
+from sdfgcn.task.scene import Scene
 from sdfgcn.train.mirror import MirrorTransform
 
 

@@ -24,7 +24,7 @@ from sdfgcn.loggers import Logger
 from sdfgcn.models import build_q_network, q_networks
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.objects.catalogue import load_catalogue
-from sdfgcn.push_space import PushSpace
+from sdfgcn.task.push_space import PushSpace
 from sdfgcn.train.checkpoint import NAME, checkpoint_config, load_checkpoint, save_checkpoint
 from sdfgcn.train.collectors import CollectorSpec, build_collector
 from sdfgcn.train.curriculum import Curriculum, ObjectCountSampler
@@ -75,7 +75,7 @@ def train(
         The trained network, with the average of its weights over the last updates, on the CPU.
 
     Raises:
-        SdfgcnError: The checkpoint is damaged or of another experiment, or the device is missing.
+        SdfgcnError: The checkpoint is damaged or of another experiment.
     """
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every storage it makes
     threads = torch.get_num_threads()

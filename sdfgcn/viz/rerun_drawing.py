@@ -12,10 +12,10 @@ from PIL import Image
 
 from sdfgcn.config import ArenaConfig
 from sdfgcn.envs.records import Snapshot
-from sdfgcn.geometry.camera import CameraModel
 from sdfgcn.objects.model import ObjectModel
+from sdfgcn.task.camera import CameraModel
+from sdfgcn.task.world import PushStatus
 from sdfgcn.viz.shapes import edge_strips, vertex_normals
-from sdfgcn.world import PushStatus
 
 TIMELINE = "push"
 

@@ -92,9 +92,9 @@ class RerunRecorder(Recorder):
         """
         self._episode = episode
         self._objects = () if episode.truth is None else episode.truth.objects
-        self._radii = np.array(
-            [np.linalg.norm(model.vertices, axis=1).max() for model in self._objects]
-        )
+        self._radii = np.zeros(episode.n_objects)
+        for slot, model in enumerate(self._objects):
+            self._radii[slot] = np.linalg.norm(model.vertices, axis=1).max()
         self._drawn_sdfs: dict[int, NDArray[np.float32]] = {}
         self._return = 0.0
         self._last: StepRecord | None = None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from sdfgcn.envs.records import Snapshot
-from sdfgcn.geometry.camera import CameraModel
+from sdfgcn.task.camera import CameraModel
 
 _FAR = 1e6  # a cost that loses against any real one
 
@@ -64,7 +64,8 @@ def row_slots(
 
     Args:
         moment: The scene's N rows and n poses.
-        radii: [n] largest distance of any vertex from the object's origin, metres.
+        radii: [n] largest distance of any vertex from the object's origin, metres; without true
+            poses only their number counts.
         camera: The camera that took the picture.
 
     Returns:
@@ -73,7 +74,7 @@ def row_slots(
     rows = np.flatnonzero(moment.scene.node_mask.numpy())
     slots = np.full(len(moment.scene.node_mask), -1)
     if moment.poses is None:
-        slots[rows] = rows
+        slots[rows] = np.where(rows < len(radii), rows, -1)
         return slots
     masks = moment.scene.masks.numpy()
     centres = np.array([_mask_centre(masks[row]) for row in rows]).reshape(-1, 2)

@@ -51,7 +51,8 @@ def summary(episode: EpisodeStart, last: StepRecord | None, total_reward: float)
     ]
     for slot in range(episode.n_objects):
         category = episode.truth.objects[slot].category if episode.truth else ""
-        error = f"{1000 * last.distances[slot]:.0f}" if last else ""
+        distance = last.distances[slot] if last else np.nan
+        error = f"{1000 * distance:.0f}" if np.isfinite(distance) else ""
         lines.append(f"| {slot_name(episode, slot)} | {category} | {error} |")
     return "\n".join(lines)
 

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from shapely import Point, Polygon, hausdorff_distance
 
 from sdfgcn.config import ArenaConfig, ScenarioConfig
-from sdfgcn.geometry.region import Region
 from sdfgcn.sim.placement import Layout, Spacing, sample_positions
+from sdfgcn.task.region import Region
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from sdfgcn.geometry.region import Region
 from sdfgcn.registry import SCENARIOS
 from sdfgcn.sim.placement import Layout, sample_positions
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
+from sdfgcn.task.region import Region
 
 
 @SCENARIOS.register("sort")

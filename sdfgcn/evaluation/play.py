@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
-from sdfgcn.episodes import EpisodeResult
+from sdfgcn.evaluation.episodes import EpisodeResult
 
 # What loads torch is imported where it is used: the main process of parallel workers needs none.
 if TYPE_CHECKING:

@@ -21,9 +21,9 @@ from torch import Tensor
 from torchrl.data import Categorical
 
 from sdfgcn.config import ArenaConfig, PushConfig
-from sdfgcn.geometry.camera import CameraModel, camera_model
-from sdfgcn.geometry.region import Region
-from sdfgcn.world import PushCommand
+from sdfgcn.task.camera import CameraModel, camera_model
+from sdfgcn.task.region import Region
+from sdfgcn.task.world import PushCommand
 
 MAX_SEARCH = 0.25  # metres back from the centre: past the largest object and one behind it
 

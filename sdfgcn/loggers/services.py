@@ -1,53 +1,21 @@
-"""Running figures of a run (`conf/logger/`), besides its result files."""
+"""Loggers of other packages, which are extras."""
 
 from __future__ import annotations
 
 import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Protocol
 
+from sdfgcn.config import LoggerConfig
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.files import CsvTable
 from sdfgcn.registry import LOGGERS
-
-
-class Logger(Protocol):
-    """Takes figures as a run goes on."""
-
-    def log(self, step: int, figures: Mapping[str, float]) -> None:
-        """Take figures by name at a step, for example after an episode."""
-
-
-@LOGGERS.register("none")
-class NoLogger:
-    """Keeps nothing."""
-
-    def __init__(self, folder: Path) -> None:
-        pass
-
-    def log(self, step: int, figures: Mapping[str, float]) -> None:
-        """Drop the figures."""
-
-
-@LOGGERS.register("csv")
-class CsvLogger:
-    """Appends to `metrics.csv` of the run folder: one line a figure, `step,name,value`."""
-
-    def __init__(self, folder: Path) -> None:
-        self._table = CsvTable(folder / "metrics.csv", ("step", "name", "value"))
-
-    def log(self, step: int, figures: Mapping[str, float]) -> None:
-        """Append the figures; they are in the file when this returns."""
-        rows = ({"step": step, "name": name, "value": value} for name, value in figures.items())
-        self._table.append(*rows)
 
 
 @LOGGERS.register("tensorboard")
 class TensorboardLogger:
     """Writes event files into `tensorboard` of the run folder."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, config: LoggerConfig, folder: Path) -> None:
         """Open the event file.
 
         Raises:
@@ -68,7 +36,7 @@ class TensorboardLogger:
 class WandbLogger:
     """Sends figures to Weights & Biases, project sdfgcn; the run is named after the folder."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, config: LoggerConfig, folder: Path) -> None:
         """Begin the run.
 
         Raises:

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sdfgcn.config import Config, QNetworkConfig
-from sdfgcn.episodes import EpisodeResult
+from sdfgcn.evaluation.episodes import EpisodeResult
 
 # What a result depends on, besides Python.
 _PACKAGES = (
@@ -26,7 +26,7 @@ _PACKAGES = (
     "scikit-fmm",
     "hydra-core",
 )
-_ROOT = Path(__file__).resolve().parents[1]
+_ROOT = Path(__file__).resolve().parents[2]
 
 
 def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) -> dict[str, Any]:

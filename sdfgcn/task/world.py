@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from sdfgcn.geometry.camera import CameraModel
+from sdfgcn.task.camera import CameraModel
 
 if TYPE_CHECKING:
     from sdfgcn.objects.model import ObjectModel

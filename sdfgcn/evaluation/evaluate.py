@@ -22,10 +22,10 @@ import numpy as np
 from tqdm import tqdm
 
 from sdfgcn.config import Config, EnvConfig
-from sdfgcn.episodes import EpisodeResult
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.evaluation.episodes import EpisodeResult
+from sdfgcn.evaluation.play import Env, Recorder, episode_seeds, play_episode
 from sdfgcn.loggers import Logger
-from sdfgcn.play import Env, Recorder, episode_seeds, play_episode
 from sdfgcn.processes import follow_parent
 
 # What loads torch is imported where it is used: the main process of parallel workers needs none.

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sdfgcn.paper import paper_figure
+from sdfgcn.evaluation.paper import paper_figure
 
 Results = Mapping[str, Any]  # the content of `results.json`
 Interval = Sequence[float]

@@ -1,1 +1,0 @@
-"""Where things are: the camera and the regions of the table."""

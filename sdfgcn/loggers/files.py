@@ -1,0 +1,34 @@
+"""Loggers that need nothing but the run folder."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from sdfgcn.config import LoggerConfig
+from sdfgcn.files import CsvTable
+from sdfgcn.registry import LOGGERS
+
+
+@LOGGERS.register("none")
+class NoLogger:
+    """Keeps nothing."""
+
+    def __init__(self, config: LoggerConfig, folder: Path) -> None:
+        pass
+
+    def log(self, step: int, figures: Mapping[str, float]) -> None:
+        """Drop the figures."""
+
+
+@LOGGERS.register("csv")
+class CsvLogger:
+    """Appends to `metrics.csv` of the run folder: one line a figure, `step,name,value`."""
+
+    def __init__(self, config: LoggerConfig, folder: Path) -> None:
+        self._table = CsvTable(folder / "metrics.csv", ("step", "name", "value"))
+
+    def log(self, step: int, figures: Mapping[str, float]) -> None:
+        """Append the figures; they are in the file when this returns."""
+        rows = ({"step": step, "name": name, "value": value} for name, value in figures.items())
+        self._table.append(*rows)

@@ -1,0 +1,235 @@
+"""The recipes of CONTRIBUTING.md, followed to the letter in a copy of the package."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+# A fenced block whose first line is a comment that names its file.
+BLOCK = re.compile(r"^```\w+\n# (\S+\.\w+)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+BLOCKS = dict(BLOCK.findall((ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")))
+PACKAGE = {name: text for name, text in BLOCKS.items() if not name.startswith(("sdfgcn", "conf"))}
+
+# Option -> an override of its own key, and one that is refused, with the sentence that says so.
+TOYS = {
+    "objects=toy_boxes": (
+        *("env.objects.side=0.06", "env.objects.side=0.0"),
+        "env.objects.side is 0.0, but must be above 0.",
+    ),
+    "scenario=toy_shift": (
+        *("env.scenario.reach=0.1", "env.scenario.reach=-0.1"),
+        "env.scenario.reach is -0.1, but must be above 0.",
+    ),
+    "model=toy_nearest": (
+        *("model.margin=0.1", "model.margin=-1.0"),
+        "model.margin is -1.0, but must be at least 0.",
+    ),
+    "model=toy_net": (
+        *("model.depth=2", "model.depth=0"),
+        "model.depth is 0, but must be at least 1.",
+    ),
+    "robot=toy_gripper": (
+        *("env.robot.ease=2.0", "env.robot.ease=0.5"),
+        "env.robot.ease is 0.5, but must be at least 1.",
+    ),
+    "perception=toy_eroded": (
+        *("env.perception.rim=2", "env.perception.rim=0"),
+        "env.perception.rim is 0, but must be at least 1.",
+    ),
+    "encoder=toy_pyramid": (
+        *("env.perception.encoder.factor=3", "env.perception.encoder.factor=1"),
+        "env.perception.encoder.factor is 1, but must be at least 2.",
+    ),
+    "segmentation=toy_colour": (
+        *("env.perception.segmentation.tolerance=0.2", "env.perception.segmentation.tolerance=0"),
+        "env.perception.segmentation.tolerance is 0.0, but must be above 0.",
+    ),
+    "logger=toy_lines": (
+        *("logger.digits=2", "logger.digits=-1"),
+        "logger.digits is -1, but must be at least 0.",
+    ),
+    "model=toy_biased": (
+        *("model.bias=1.0", "model.bias=2.0"),
+        "model.bias is 2.0, but must lie between 0 and 1.",
+    ),
+}
+# Reads TOYS; writes what became of each, whatever else composes, and two pushes with every toy.
+USE = """
+import json
+import sys
+
+import sdfgcn
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.registry import REGISTRIES
+
+said = {}
+for option, (own, refused, _) in json.loads(sys.argv[1]).items():
+    sdfgcn.load_config(option, own)
+    try:
+        sdfgcn.load_config(option, refused)
+    except SdfgcnError as error:
+        said[option] = str(error)
+others = []
+for registry in REGISTRIES:
+    for name in registry:
+        sdfgcn.load_config(f"{registry.group}={name}")
+        others.append(f"{registry.group}={name}")
+both = sdfgcn.load_config("robot=ur5e", "robot@train.env.robot=toy_gripper")
+rewards = []
+toys = ["objects=toy_boxes", "scenario=toy_shift", "robot=toy_gripper", "n_objects=2"]
+for seen in (
+    ["perception=toy_eroded"],
+    ["perception=vision", "encoder=toy_pyramid", "segmentation=toy_colour"],
+):
+    env = sdfgcn.make_env(*toys, *seen)
+    first = env.reset_episode(0)
+    shift = (first["goal", "center"] - first["scene", "center"])[first["matched"]]
+    pushes = env.rollout(2, env.rand_action, auto_reset=False, tensordict=first)
+    rewards.append([shift.tolist(), pushes["next", "reward"].flatten().tolist()])
+    env.close()
+print(json.dumps([said, others, [both.env.robot.name, both.train.env.robot.name], rewards]))
+"""
+
+
+def write(folder: Path, files: dict[str, str]) -> None:
+    for name, text in files.items():
+        path = folder / name
+        assert not path.exists(), f"the recipe changes {name}"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text, encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The package, its configs and its tests, with what the recipes add."""
+    folder = tmp_path_factory.mktemp("copy")
+    for name in ("sdfgcn", "conf", "tests"):
+        shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("run.py", "pyproject.toml"):
+        shutil.copy(ROOT / name, folder)
+    write(folder, {name: text for name, text in BLOCKS.items() if name not in PACKAGE})
+    return folder
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of installed packages that holds the recipes' own one."""
+    folder = tmp_path_factory.mktemp("site")
+    write(folder, PACKAGE)
+    project = tomllib.loads(PACKAGE["pyproject.toml"])["project"]
+    lines = []
+    for group, names in project["entry-points"].items():
+        lines += [f"[{group}]", *(f"{name} = {module}" for name, module in names.items())]
+    about = f"Metadata-Version: 2.1\nName: {project['name']}\nVersion: {project['version']}\n"
+    info = f"{project['name'].replace('-', '_')}-{project['version']}.dist-info"
+    write(folder, {f"{info}/METADATA": about, f"{info}/entry_points.txt": "\n".join(lines)})
+    return folder
+
+
+def python(copy: Path, *arguments: object, path: tuple[Path, ...] = (), **env: object) -> str:
+    """What Python prints with the copy, and with the packages in other folders."""
+    done = subprocess.run(
+        [sys.executable, *map(str, arguments)],
+        env={
+            **os.environ,
+            **{name: str(value) for name, value in env.items()},
+            "PYTHONPATH": os.pathsep.join(map(str, (copy, *path))),
+        },
+        cwd=copy,
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+def test_two_files_each() -> None:
+    """One in Python and one in YAML of the same name, in the group's folder."""
+    modules = {Path(name).stem: name for name in BLOCKS if name.endswith(".py")}
+    options = {Path(name).stem: name for name in BLOCKS if name.endswith(".yaml")}
+    for option in TOYS:
+        group, _, name = option.partition("=")
+        assert options.pop(name).endswith(f"conf/{group}/{name}.yaml")
+        modules.pop("agent" if name == "toy_biased" else name)
+    assert not modules
+    assert not options
+
+
+def test_code_of_the_recipes_is_clean(copy: Path, site: Path) -> None:
+    files = [folder / name for folder in (copy, site) for name in BLOCKS if name.endswith(".py")]
+    files = [path for path in files if path.exists()]
+    for command in (["check"], ["format", "--check"]):
+        python(copy, "-m", "ruff", *command, "--config", ROOT / "pyproject.toml", *files)
+
+
+def test_each_is_checked_built_and_run(copy: Path, site: Path, tmp_path: Path) -> None:
+    printed = python(copy, "-c", USE, json.dumps(TOYS), path=(site,), SDFGCN_CACHE=tmp_path)
+    said, others, robots, runs = json.loads(printed)
+    assert said == {option: sentence for option, (_, _, sentence) in TOYS.items()}
+    shipped = {
+        f"{path.parent.name}={path.stem}"
+        for option in TOYS
+        for path in (ROOT / "conf" / option.partition("=")[0]).glob("*.yaml")
+    }
+    assert shipped | TOYS.keys() <= set(others)
+    assert robots == ["ur5e", "toy_gripper"]
+    for shifts, rewards in runs:
+        assert len(shifts) == len(rewards) == 2
+        for x, y in shifts:
+            assert abs(x - 0.06) < 0.01 and abs(y) < 0.01
+
+
+def test_models_are_trained_and_evaluated(copy: Path, site: Path, tmp_path: Path) -> None:
+    """One sweep: the Q-network, the agent, and the agent of the other package."""
+    models = ("toy_net", "toy_nearest", "toy_biased")
+    printed = python(
+        copy,
+        *("run.py", "-m", f"model={','.join(models)}", f"hydra.sweep.dir={tmp_path}"),
+        *("objects=toy_boxes", "scenario=toy_shift", "robot=gripper", "n_objects=2"),
+        *("logger=toy_lines", "viz=none", "env.pushes_per_object=2", "eval.episodes=1"),
+        *("runtime.workers=0", "collector=sync", "collector.pushes_per_batch=5"),
+        *("budget=smoke", "budget.pushes=20", "train.learning_starts=5", "train.batch_size=4"),
+        *("train.log_pushes=10", "robot@train.env.robot=toy_gripper"),
+        path=(site,),
+        SDFGCN_CACHE=tmp_path / "cache",
+    )
+    for job, model in enumerate(models):
+        assert f"{model} (this run)" in printed
+        results = json.loads((tmp_path / str(job) / "results.json").read_text())
+        assert (results["model"], results["objects"], results["episodes"]) == (
+            *(model, "toy_boxes", 1),
+        )
+        assert (tmp_path / str(job) / "metrics.jsonl").read_text().startswith('{"step": ')
+    with (tmp_path / "0" / "train.csv").open() as file:
+        *_, last = csv.DictReader(file)
+    assert int(last["pushes"]) == 20
+    assert int(last["updates"]) > 0
+
+
+def test_the_tests_pick_them_up(copy: Path) -> None:
+    files = ("test_layers.py", "test_models.py", "test_sim_scenarios.py")
+    printed = python(
+        copy,
+        *("-m", "pytest", "-n", "0", "-v", "-p", "no:cacheprovider"),
+        *(f"tests/{name}" for name in files),
+        *("-k", "toy_ or registry_and_conf"),
+    )
+    for test in (
+        *("test_imports_nothing_higher[sdfgcn.agents.toy_nearest]",),
+        *("test_registry_and_conf_name_the_same_things[logger]",),
+        *("test_every_number_has_a_comment[robot/toy_gripper]",),
+        *("test_learns_under_dqn_loss[True-toy_net]",),
+        *("test_layouts_keep_region_and_spacing[toy_shift-6]",),
+    ):
+        assert f"{test} PASSED" in printed

@@ -1,0 +1,178 @@
+"""Short trainings in this process: stopped and gone on with, evaluated on the way, and others."""
+
+from __future__ import annotations
+
+import csv
+import json
+import zipfile
+from contextlib import closing
+from pathlib import Path
+
+import pytest
+import torch
+from configs import real_config
+from small_network import small_network
+from tensordict import TensorDict
+from toys import TOYS
+
+from sdfgcn.loggers import CsvLogger, NoLogger
+from sdfgcn.models.q_network import QNetwork
+from sdfgcn.train.held_out import FIGURES, HeldOutCurve
+from sdfgcn.train.learner import Learner
+from sdfgcn.train.training import Trainer, q_network, train
+
+SMALL = (
+    *("objects=household", "robot=gripper", "model=sdfgcn", "n_objects=2", "train.env.split=test"),
+    *("collector=sync", "collector.pushes_per_batch=5", "budget=smoke", "budget.minutes=null"),
+    *("budget.epsilon_pushes=35", "train.learning_starts=5", "train.utd_ratio=0.5"),
+    *("train.target_interval=7", "train.batch_size=8", "train.replay_capacity=60"),
+    *("train.checkpoint_minutes=60", "runtime.precision=float32"),
+)
+
+Weights = dict[str, torch.Tensor]
+
+
+@pytest.fixture(autouse=True)
+def small_world(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("sdfgcn.sim.world.load_catalogue", lambda config, split: TOYS)
+
+
+def weights_of(folder: Path, pushes: int, *overrides: str, **options: object) -> Weights:
+    """Train up to so many pushes, from the folder's checkpoint if there is one."""
+    config = real_config(*SMALL, f"budget.pushes={pushes}", *overrides)
+    return train(config, folder, NoLogger(folder), small_network, **options).state_dict()
+
+
+def same(there: Weights, here: Weights) -> bool:
+    return all(torch.equal(there[key], here[key]) for key in there)
+
+
+# ------------------------------------------------------------------ hindsight
+
+
+def test_hindsight_of_an_unfinished_episode_goes_on(tmp_path: Path) -> None:
+    """Episodes have 16 pushes at most: at the first stop one goes on, and ends after it."""
+    future = ("her=future", "train.env.pushes_per_object=8", "+train.env.success_threshold=0.001")
+    for folder in ("whole", "parts"):
+        (tmp_path / folder).mkdir()
+    whole = weights_of(tmp_path / "whole", 35, *future)
+    early = weights_of(tmp_path / "parts", 10, *future)
+    with zipfile.ZipFile(tmp_path / "parts" / "checkpoint.zip") as archive:
+        kept = [name for name in archive.namelist() if "hindsight/episode" in name]
+    assert any(name.endswith("sdf.memmap") for name in kept)
+    assert not same(whole, early)
+    assert same(whole, weights_of(tmp_path / "parts", 35, *future))
+
+
+# ------------------------------------------------------------------ precision
+
+
+def test_precision_is_chosen_once_a_run_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where a run was cut off before its first checkpoint."""
+    monkeypatch.setattr("sdfgcn.train.training.build_collector", lambda spec: None)
+
+    def chosen(folder: Path, fastest: str, precision: str = "auto") -> str | None:
+        folder.mkdir(exist_ok=True)
+        monkeypatch.setattr(Learner, "_seconds", lambda self, name, batch: name != fastest)
+        config = real_config(*SMALL, f"runtime.precision={precision}")
+        curve = HeldOutCurve(folder, NoLogger(folder), None, None)
+        trainer = Trainer(config, folder, NoLogger(folder), small_network, lambda _: None, curve)
+        trainer._choose_precision(TensorDict(batch_size=[8]))
+        return trainer._learner.precision
+
+    kept = tmp_path / "first" / "precision.json"
+    assert chosen(kept.parent, fastest="bfloat16") == "bfloat16"
+    assert json.loads(kept.read_text()) == {"precision": "bfloat16"}
+    assert chosen(kept.parent, fastest="float32") == "bfloat16"
+    assert chosen(kept.parent, fastest="bfloat16", precision="float32") == "float32"
+    assert json.loads(kept.read_text()) == {"precision": "bfloat16"}
+    assert chosen(tmp_path / "second", fastest="float32") == "float32"
+    assert chosen(tmp_path / "third", fastest="float32", precision="bfloat16") == "bfloat16"
+    assert not (tmp_path / "third" / "precision.json").exists()
+
+
+# ------------------------------------------------------------------ the curve of held-out success
+
+
+class Judge:
+    """Stands for the played episodes: draws random numbers as they do, and spoils its network."""
+
+    def __init__(self) -> None:
+        self.judged: list[Weights] = []
+
+    def __call__(self, network: QNetwork) -> dict[str, float]:
+        self.judged.append({key: value.clone() for key, value in network.state_dict().items()})
+        torch.rand(7)
+        with torch.no_grad():
+            for parameter in network.parameters():
+                parameter.zero_()
+        return {name: float(len(self.judged)) for name in FIGURES}
+
+
+def curve(folder: Path) -> list[tuple[int, float]]:
+    with (folder / "eval.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == ["pushes", *FIGURES]
+    return [(int(row["pushes"]), float(row["success_rate"])) for row in rows]
+
+
+def test_a_curve_of_held_out_success(tmp_path: Path) -> None:
+    """A row whenever another 10 pushes have been made, and the training is none the wiser."""
+    for folder in ("plain", "judged"):
+        (tmp_path / folder).mkdir()
+    plain = weights_of(tmp_path / "plain", 25, "train.eval_pushes=10")  # nobody to play
+    assert not (tmp_path / "plain" / "eval.csv").exists()
+    judge = Judge()
+    folder = tmp_path / "judged"
+    assert same(plain, weights_of(folder, 25, "train.eval_pushes=10", evaluate=judge))
+    assert curve(folder) == [(10, 1.0), (20, 2.0)]
+    assert not same(*judge.judged)
+
+
+def test_the_curve_goes_on_from_a_checkpoint(tmp_path: Path) -> None:
+    """Rows of pushes that are made again are done again, once, and at the same weights."""
+    judge = Judge()
+    options = {"evaluate": judge}
+    weights_of(tmp_path, 15, "train.eval_pushes=10", **options)
+    early = (tmp_path / "checkpoint.zip").read_bytes()
+    weights_of(tmp_path, 30, "train.eval_pushes=10", **options)
+    assert curve(tmp_path) == [(10, 1.0), (20, 2.0), (30, 3.0)]
+    (tmp_path / "checkpoint.zip").write_bytes(early)
+    weights_of(tmp_path, 30, "train.eval_pushes=10", **options)
+    assert curve(tmp_path) == [(10, 1.0), (20, 4.0), (30, 5.0)]
+    assert same(judge.judged[1], judge.judged[3])
+    assert same(judge.judged[2], judge.judged[4])
+
+
+def test_the_logger_hears_of_the_curve(tmp_path: Path) -> None:
+    config = real_config(*SMALL, "budget.pushes=10", "train.eval_pushes=10")
+    train(config, tmp_path, CsvLogger(tmp_path), small_network, evaluate=Judge())
+    with (tmp_path / "metrics.csv").open() as file:
+        told = [row for row in csv.DictReader(file) if row["name"].startswith("eval/")]
+    assert {row["step"] for row in told} == {"10"}
+    assert {row["name"] for row in told} == {f"eval/{name}" for name in FIGURES}
+
+
+# ------------------------------------------------------------------ directions
+
+
+def test_trains_with_16_directions(tmp_path: Path) -> None:
+    config = real_config(
+        *(*SMALL, "model=pose_gcn", "env.push.directions=16", "augment.probability=0.5"),
+        *("train.epsilon_start=1.0", "train.epsilon_end=1.0", "budget.pushes=25"),
+    )
+    curve = HeldOutCurve(tmp_path, NoLogger(tmp_path), None, None)
+    torch.manual_seed(0)
+    trainer = Trainer(config, tmp_path, NoLogger(tmp_path), q_network, lambda _: None, curve)
+    before = {key: value.clone() for key, value in trainer.network.state_dict().items()}
+    with closing(trainer):
+        trainer.run()
+        batch = trainer._replay.sample()
+    assert trainer._learner.updates == 10
+    assert not same(before, trainer.network.state_dict())
+    taken = trainer._replay.buffer[:]["action"] % 16
+    assert len(set(taken.tolist())) > 8
+    assert batch["action_mask"].shape == (8, 2 * 16)
+    assert trainer.averaged(batch)["action_value"].shape == (8, 2 * 16)
