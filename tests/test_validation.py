@@ -1,9 +1,18 @@
 """What a config may say: types, ranges, and settings that would have no effect."""
 
+import copy
+import math
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from operator import attrgetter
+from typing import Any
+
 import pytest
 from configs import real_config
 
 from sdfgcn.cli import to_sentence
+from sdfgcn.config import check_ranges
+from sdfgcn.errors import SdfgcnError
 
 
 def refusal(*overrides: str) -> str:
@@ -141,3 +150,58 @@ def test_keys_and_components_of_the_training_env() -> None:
     robot = config.train.env.robot
     assert (robot.name, robot.ik_steps, robot.lead) == ("ur5e", 50, 0.2)  # type: ignore[attr-defined]
     assert (config.env.push.length, config.train.env.push.length) == (0.06, 0.05)
+
+
+# ------------------------------------------------------------------ the ranges beside the fields
+
+COMPONENTS = (
+    ("model=sdfgcn", "curriculum=on", "perception=vision", "robot=gripper"),
+    ("model=pose_gcn", "robot=ur5e", "encoder=resnet", "objects=shapenet"),
+)
+
+
+def numeric_keys(config: Any, path: str = "") -> Iterator[tuple[str, bool]]:
+    """Every key of numbers below a config, and whether it has a range."""
+    for field in fields(config):
+        value = getattr(config, field.name)
+        key = f"{path}.{field.name}".removeprefix(".")
+        if is_dataclass(value):
+            yield from numeric_keys(value, key)
+        elif isinstance(value, int | float | list) and not isinstance(value, bool):
+            yield key, "range" in field.metadata
+
+
+def filled(value: Any, number: float) -> Any:
+    return [filled(item, number) for item in value] if isinstance(value, list) else number
+
+
+def told_of(config: Any, key: str, value: Any) -> str:
+    """What is said of a config in which one key has another value; empty if nothing."""
+    changed = copy.deepcopy(config)
+    owner, _, name = key.rpartition(".")
+    setattr(attrgetter(owner)(changed) if owner else changed, name, value)
+    try:
+        check_ranges(changed)
+    except SdfgcnError as error:
+        return str(error)
+    return ""
+
+
+@pytest.mark.parametrize("overrides", COMPONENTS)
+def test_every_number_is_finite_and_in_its_range(overrides: tuple[str, ...]) -> None:
+    config = real_config(*overrides)
+    keys = dict(numeric_keys(config))
+    assert sum(keys.values()) > 100
+    for key, has_range in keys.items():
+        value = attrgetter(key)(config)
+        if value == []:
+            continue
+        assert told_of(config, key, value) == ""
+        assert told_of(config, key, filled(value, math.nan)).startswith(f"{key} is "), key
+        beyond = [filled(value, number) for number in (-1, 0, 1000)]
+        beyond += [value[:1], value[::-1]] if isinstance(value, list) else []
+        told = [sentence for bad in beyond if (sentence := told_of(config, key, bad))]
+        assert bool(told) == has_range, key
+        for sentence in told:
+            assert sentence.startswith(f"{key} is ")
+            assert " must " in sentence

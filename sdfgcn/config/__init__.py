@@ -1,18 +1,23 @@
 """Every config dataclass: the types behind the YAML files of `conf/`.
 
-The numbers live in YAML. A dataclass here names each key and types it; what a type cannot check,
-`sdfgcn/validation.py` does, in sentences. Nothing mutates a config once it is built.
+The numbers live in YAML. A dataclass here names each key, with its type and its range; what relates
+two keys is checked by `sdfgcn/validation.py`. Nothing mutates a config once it is built.
 """
 
 from sdfgcn.config.base import (
     N_DIRECTIONS,
     SPLITS,
     ComponentConfig,
-    check_above_zero,
-    check_at_least,
-    check_choice,
-    check_share,
+    at_least,
+    below_one,
+    check_ranges,
+    fraction,
+    interval,
     lookup,
+    one_of,
+    positive,
+    ranged,
+    vector,
 )
 from sdfgcn.config.env import (
     ArenaConfig,
@@ -46,41 +51,3 @@ from sdfgcn.config.train import (
     SegmentationTrainingConfig,
     TrainConfig,
 )
-
-__all__ = [
-    "N_DIRECTIONS",
-    "SPLITS",
-    "ArenaConfig",
-    "ArrangementsConfig",
-    "AugmentConfig",
-    "BudgetConfig",
-    "CollectorConfig",
-    "ComponentConfig",
-    "Config",
-    "CurriculumConfig",
-    "EncoderConfig",
-    "EnvConfig",
-    "EvalConfig",
-    "HerConfig",
-    "LoggerConfig",
-    "ModelConfig",
-    "ObjectsConfig",
-    "PerceptionConfig",
-    "PhysicsConfig",
-    "PushConfig",
-    "QNetworkConfig",
-    "RewardConfig",
-    "RobotConfig",
-    "RuntimeConfig",
-    "ScenarioConfig",
-    "SegmentationConfig",
-    "SegmentationTrainingConfig",
-    "TrainConfig",
-    "VizConfig",
-    "WorldConfig",
-    "check_above_zero",
-    "check_at_least",
-    "check_choice",
-    "check_share",
-    "lookup",
-]

@@ -7,7 +7,19 @@ from typing import TYPE_CHECKING
 
 from omegaconf import MISSING
 
-from sdfgcn.config.base import ComponentConfig, check_above_zero, check_at_least
+from sdfgcn.config.base import (
+    SPLITS,
+    ComponentConfig,
+    at_least,
+    below_one,
+    check_ranges,
+    fraction,
+    interval,
+    one_of,
+    positive,
+    ranged,
+    vector,
+)
 from sdfgcn.errors import SdfgcnError
 
 if TYPE_CHECKING:
@@ -18,24 +30,35 @@ if TYPE_CHECKING:
 class ObjectsConfig(ComponentConfig):
     """Which object catalogue stands on the table (`conf/objects/`)."""
 
-    footprint_min: float = MISSING
-    footprint_max: float = MISSING
-    height_max: float = MISSING
-    thickness_min: float = MISSING
-    mass_min: float = MISSING
-    mass_max: float = MISSING
-    density: float = MISSING
-    max_faces: int = MISSING
-    max_pieces: int = MISSING
-    max_piece_vertices: int = MISSING
-    texture_size: int = MISSING
-    settle_drops: int = MISSING
-    settle_seconds: float = MISSING
-    settle_speed: float = MISSING
-    settle_friction: list[float] = MISSING
-    settle_min_probability: float = MISSING
-    settle_min_tilt: float = MISSING
-    palette: list[list[float]] = MISSING
+    footprint_min: float = positive()
+    footprint_max: float = positive()
+    height_max: float = positive()
+    thickness_min: float = positive()
+    mass_min: float = positive()
+    mass_max: float = positive()
+    density: float = positive()
+    max_faces: int = at_least(100)
+    max_pieces: int = at_least(1)
+    max_piece_vertices: int = at_least(8)
+    texture_size: int = at_least(1)
+    settle_drops: int = at_least(1)
+    settle_seconds: float = positive()
+    settle_speed: float = positive()
+    settle_friction: list[float] = ranged(
+        lambda value: len(value) == 3 and min(value) >= 0,
+        "must hold three numbers from 0 on: sliding, torsional and rolling friction",
+        whole=True,
+    )
+    settle_min_probability: float = below_one()
+    settle_min_tilt: float = at_least(0)
+    palette: list[list[float]] = ranged(
+        lambda colours: (
+            len(colours) > 0
+            and all(len(colour) == 3 and 0 <= min(colour) <= max(colour) <= 1 for colour in colours)
+        ),
+        "must list colours of three numbers between 0 and 1 (red, green, blue)",
+        whole=True,
+    )
 
     def check(self, config: Config) -> None:
         """See `check_limits`, which needs nothing else of the config."""
@@ -47,44 +70,14 @@ class ObjectsConfig(ComponentConfig):
         Raises:
             SdfgcnError: One sentence that names the key, the value seen and what would work.
         """
+        check_ranges(self, "env.objects")
         for low, high in (("footprint_min", "footprint_max"), ("mass_min", "mass_max")):
             smallest, largest = getattr(self, low), getattr(self, high)
-            if not 0 < smallest < largest:
+            if smallest >= largest:
                 raise SdfgcnError(
                     f"env.objects.{low} is {smallest} and env.objects.{high} is {largest}, but the "
-                    f"first must be above 0 and below the second."
+                    "first must be below the second."
                 )
-        for key in ("height_max", "thickness_min", "density", "settle_seconds", "settle_speed"):
-            value = getattr(self, key)
-            if value <= 0:
-                raise SdfgcnError(f"env.objects.{key} is {value}, but must be above 0.")
-        for key, least in (
-            ("max_faces", 100),
-            ("max_pieces", 1),
-            ("max_piece_vertices", 8),
-            ("texture_size", 1),
-            ("settle_drops", 1),
-        ):
-            value = getattr(self, key)
-            if value < least:
-                raise SdfgcnError(f"env.objects.{key} is {value}, but must be at least {least}.")
-        if not 0 <= self.settle_min_probability < 1:
-            raise SdfgcnError(
-                f"env.objects.settle_min_probability is {self.settle_min_probability}, but must be "
-                "at least 0 and below 1."
-            )
-        if len(self.settle_friction) != 3:
-            raise SdfgcnError(
-                f"env.objects.settle_friction is {self.settle_friction}, but must hold three "
-                "numbers: sliding, torsional and rolling friction."
-            )
-        if not self.palette or not all(
-            len(colour) == 3 and all(0 <= part <= 1 for part in colour) for colour in self.palette
-        ):
-            raise SdfgcnError(
-                f"env.objects.palette is {self.palette}, but must list colours of three numbers "
-                "between 0 and 1 (red, green, blue)."
-            )
 
 
 @dataclass
@@ -92,80 +85,74 @@ class RobotConfig(ComponentConfig):
     """What executes the push (`conf/robot/`)."""
 
     home: list[float] = MISSING
-    lead: float = MISSING
-    acceleration: float = MISSING
-
-    def check(self, config: Config) -> None:
-        """Check the tool's acceleration.
-
-        Raises:
-            SdfgcnError: See `ComponentConfig.check`.
-        """
-        check_above_zero({"env.robot.acceleration": self.acceleration})
+    lead: float = at_least(0)
+    acceleration: float = positive()
 
 
 @dataclass
 class ScenarioConfig(ComponentConfig):
     """How start and goal layouts are drawn (`conf/scenario/`)."""
 
-    spacing: float = MISSING
-    gap: float = MISSING
-    max_tries: int = MISSING
+    spacing: float = at_least(0)
+    gap: float = at_least(0)
+    max_tries: int = at_least(1)
 
 
 @dataclass
 class ArenaConfig:
     """Table, light, camera and the regions on the table (`conf/env/`)."""
 
-    spawn_x: list[float] = MISSING
-    spawn_y: list[float] = MISSING
-    range_x: list[float] = MISSING
-    range_y: list[float] = MISSING
-    reach_x: list[float] = MISSING
-    reach_y: list[float] = MISSING
-    table_rgba: list[float] = MISSING
-    camera_tilt: float = MISSING
-    camera_fovy: float = MISSING
-    camera_distance: float = MISSING
-    camera_target: list[float] = MISSING
-    image_size: int = MISSING
+    spawn_x: list[float] = interval()
+    spawn_y: list[float] = interval()
+    range_x: list[float] = interval()
+    range_y: list[float] = interval()
+    reach_x: list[float] = interval()
+    reach_y: list[float] = interval()
+    table_rgba: list[float] = fraction()
+    camera_tilt: float = ranged(lambda value: 0 <= value < 90, "must be at least 0 and below 90")
+    camera_fovy: float = ranged(lambda value: 0 < value < 180, "must be above 0 and below 180")
+    camera_distance: float = positive()
+    camera_target: list[float] = vector(2)
+    image_size: int = at_least(1)
 
 
 @dataclass
 class PhysicsConfig:
     """MuJoCo options and contact parameters (`conf/env/`)."""
 
-    timestep: float = MISSING
-    cone: str = MISSING
-    impratio: float = MISSING
-    ccd_tolerance: float = MISSING
-    sliding_friction: float = MISSING
-    rolling_friction: float = MISSING
-    solref: list[float] = MISSING
-    sleep_tolerance: float = MISSING
-    settle_seconds: float = MISSING
-    noslip_iterations: int = MISSING
+    timestep: float = positive()
+    cone: str = one_of("elliptic", "pyramidal")
+    impratio: float = positive()
+    ccd_tolerance: float = positive()
+    sliding_friction: float = at_least(0)
+    rolling_friction: float = at_least(0)
+    solref: list[float] = vector(2)
+    sleep_tolerance: float = at_least(0)
+    settle_seconds: float = at_least(0)
+    noslip_iterations: int = at_least(0)
 
 
 @dataclass
 class PushConfig:
     """The push primitive (`conf/env/`)."""
 
-    directions: int = MISSING
-    length: float = MISSING
+    directions: int = ranged(
+        lambda value: value >= 4 and value % 2 == 0, "must be an even number from 4 on"
+    )
+    length: float = positive()
     touch: bool = MISSING
-    clearance: float = MISSING
-    search_step: float = MISSING
-    height: float = MISSING
-    approach: float = MISSING
-    speed: float = MISSING
-    acceleration: float = MISSING
-    descent_speed: float = MISSING
-    retreat: float = MISSING
-    lift_speed: float = MISSING
-    control_timestep: float = MISSING
-    waypoint_spacing: float = MISSING
-    plane_height: float = MISSING
+    clearance: float = at_least(0)
+    search_step: float = positive()
+    height: float = at_least(0)
+    approach: float = at_least(0)
+    speed: float = positive()
+    acceleration: float = positive()
+    descent_speed: float = positive()
+    retreat: float = at_least(0)
+    lift_speed: float = positive()
+    control_timestep: float = positive()
+    waypoint_spacing: float = positive()
+    plane_height: float = at_least(0)
 
 
 @dataclass
@@ -185,26 +172,12 @@ class RewardConfig:
 class EncoderConfig(ComponentConfig):
     """What tells objects apart for matching (`conf/encoder/`)."""
 
-    stages: list[int] = MISSING
-    patch: float = MISSING
-    input_size: int = MISSING
-    rotations: int = MISSING
-    color_weight: float = MISSING
+    stages: list[int] = at_least(1)
+    patch: float = ranged(lambda value: 0 < value <= 1, "must be above 0 and at most 1")
+    input_size: int = at_least(32)
+    rotations: int = at_least(1)
+    color_weight: float = at_least(0)
     camera_tilt: float = MISSING
-
-    def check(self, config: Config) -> None:
-        """Check the numbers of the patches.
-
-        Raises:
-            SdfgcnError: See `ComponentConfig.check`.
-        """
-        if not 0 < self.patch <= 1:
-            raise SdfgcnError(
-                f"env.perception.encoder.patch is {self.patch}, but must be above 0 and at most 1."
-            )
-        check_at_least(32, {"env.perception.encoder.input_size": self.input_size})
-        check_at_least(1, {"env.perception.encoder.rotations": self.rotations})
-        check_at_least(0, {"env.perception.encoder.color_weight": self.color_weight})
 
 
 @dataclass
@@ -216,7 +189,7 @@ class SegmentationConfig(ComponentConfig):
 class PerceptionConfig(ComponentConfig):
     """Picture -> masks -> SDFs (`conf/perception/`)."""
 
-    min_pixels: int = MISSING
+    min_pixels: int = at_least(0)
     sdf: str = MISSING
     encoder: EncoderConfig = field(default_factory=EncoderConfig)
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
@@ -233,10 +206,10 @@ class EnvConfig:
 
     name: str = MISSING
     n_objects: int = MISSING
-    max_objects: int = MISSING
-    split: str = MISSING
-    pushes_per_object: int = MISSING
-    success_threshold: float = MISSING
+    max_objects: int = at_least(1)
+    split: str = one_of(*SPLITS)
+    pushes_per_object: int = at_least(1)
+    success_threshold: float = at_least(0)
     pixels: bool = MISSING
     arena: ArenaConfig = field(default_factory=ArenaConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)

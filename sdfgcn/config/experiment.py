@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from omegaconf import MISSING
 
-from sdfgcn.config.base import ComponentConfig
+from sdfgcn.config.base import SPLITS, ComponentConfig, at_least, fraction, one_of, ranged
 from sdfgcn.config.env import EnvConfig
 from sdfgcn.config.model import ModelConfig
 from sdfgcn.config.train import (
@@ -24,11 +24,11 @@ class EvalConfig:
     """How a method is evaluated (`conf/eval/`)."""
 
     name: str = MISSING
-    seed: int = MISSING
-    episodes: int = MISSING
-    split: str = MISSING
-    epsilon: float = MISSING
-    loop_distance: float | None = None
+    seed: int = at_least(0)
+    episodes: int = at_least(1)
+    split: str = one_of(*SPLITS)
+    epsilon: float = fraction()
+    loop_distance: float | None = at_least(0, default=None)
 
 
 @dataclass
@@ -40,7 +40,7 @@ class LoggerConfig(ComponentConfig):
 class VizConfig(ComponentConfig):
     """Recordings (`conf/viz/`)."""
 
-    episodes: int = MISSING
+    episodes: int = at_least(0)
 
 
 @dataclass
@@ -48,17 +48,19 @@ class RuntimeConfig:
     """Processes and threads (`conf/runtime/`)."""
 
     name: str = MISSING
-    workers: int = MISSING
-    torch_threads: int = MISSING
-    device: str = MISSING
-    precision: str = MISSING
+    workers: int = at_least(0)
+    torch_threads: int = at_least(1)
+    device: str = ranged(
+        lambda value: value.partition(":")[0] in ("cpu", "cuda"), "must be cpu or cuda"
+    )
+    precision: str = one_of("auto", "bfloat16", "float32")
 
 
 @dataclass
 class Config:
     """The whole experiment, as `sdfgcn --cfg job` prints it."""
 
-    seed: int = MISSING
+    seed: int = at_least(0)
     n_objects: int = MISSING
     checkpoint: str | None = None
     env: EnvConfig = field(default_factory=EnvConfig)

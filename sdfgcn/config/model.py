@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from sdfgcn.config.base import ComponentConfig
+from sdfgcn.config.base import ComponentConfig, check_ranges
 
 if TYPE_CHECKING:
     from sdfgcn.config.experiment import Config
@@ -33,3 +33,4 @@ class QNetworkConfig(ModelConfig):
         Raises:
             SdfgcnError: One sentence that names the key, the value seen and what would work.
         """
+        check_ranges(self, "model")

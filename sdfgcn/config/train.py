@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 from omegaconf import MISSING
 
+from sdfgcn.config.base import at_least, below_one, fraction, interval, one_of, positive
 from sdfgcn.config.env import EnvConfig, ObjectsConfig
 
 
@@ -14,9 +15,9 @@ class BudgetConfig:
     """How long a Q-network is trained (`conf/budget/`)."""
 
     name: str = MISSING
-    pushes: int = MISSING
-    minutes: float | None = None
-    epsilon_pushes: int = MISSING
+    pushes: int = at_least(1)
+    minutes: float | None = at_least(0, default=None)
+    epsilon_pushes: int = at_least(1)
 
 
 @dataclass
@@ -24,8 +25,8 @@ class CollectorConfig:
     """Who pushes while a Q-network learns (`conf/collector/`)."""
 
     name: str = MISSING
-    workers: int = 1
-    pushes_per_batch: int = MISSING
+    workers: int = at_least(1, default=1)
+    pushes_per_batch: int = at_least(1)
 
 
 @dataclass
@@ -34,9 +35,9 @@ class CurriculumConfig:
 
     name: str = MISSING
     counts: list[int] = field(default_factory=list)
-    window: int = 0
-    success_threshold: float = 0.0
-    newest_share: float = 0.0
+    window: int = at_least(0, default=0)
+    success_threshold: float = fraction(default=0.0)
+    newest_share: float = fraction(default=0.0)
 
 
 @dataclass
@@ -44,8 +45,8 @@ class HerConfig:
     """Hindsight experience replay (`conf/her/`)."""
 
     name: str = MISSING
-    min_displacement: float = 0.0
-    per_push: int = 1
+    min_displacement: float = at_least(0, default=0.0)
+    per_push: int = at_least(1, default=1)
 
 
 @dataclass
@@ -53,7 +54,7 @@ class AugmentConfig:
     """Augmentation of sampled transitions (`conf/augment/`)."""
 
     name: str = MISSING
-    probability: float = 0.0
+    probability: float = fraction(default=0.0)
 
 
 @dataclass
@@ -61,24 +62,24 @@ class TrainConfig:
     """How a Q-network learns (`conf/train/`)."""
 
     name: str = MISSING
-    discount: float = MISSING
-    learning_rate: float = MISSING
-    loss: str = MISSING
-    max_gradient_norm: float = MISSING
-    batch_size: int = MISSING
-    replay_capacity: int = MISSING
-    learning_starts: int = MISSING
-    target_interval: int = MISSING
-    ema_decay: float = MISSING
-    utd_ratio: float = MISSING
-    max_utd_ratio: float = MISSING
-    epsilon_start: float = MISSING
-    epsilon_end: float = MISSING
-    sdf_cache: int = MISSING
-    log_pushes: int = MISSING
-    checkpoint_minutes: float = MISSING
-    eval_pushes: int | None = None
-    eval_episodes: int = MISSING
+    discount: float = fraction()
+    learning_rate: float = positive()
+    loss: str = one_of("smooth_l1", "l2")
+    max_gradient_norm: float = positive()
+    batch_size: int = at_least(1)
+    replay_capacity: int = at_least(1)
+    learning_starts: int = at_least(0)
+    target_interval: int = at_least(1)
+    ema_decay: float = below_one()
+    utd_ratio: float = at_least(0)
+    max_utd_ratio: float = at_least(0)
+    epsilon_start: float = fraction()
+    epsilon_end: float = fraction()
+    sdf_cache: int = at_least(1)
+    log_pushes: int = at_least(1)
+    checkpoint_minutes: float = at_least(0)
+    eval_pushes: int | None = at_least(1, default=None)
+    eval_episodes: int = at_least(1)
     env: EnvConfig = field(default_factory=EnvConfig)
 
 
@@ -86,46 +87,46 @@ class TrainConfig:
 class ArrangementsConfig:
     """The pictures that a segmenter is trained on (`conf/train_segmentation.yaml`)."""
 
-    layouts: int = MISSING
-    appearances: int = MISSING
-    n_objects: list[int] = MISSING
-    seed: int = MISSING
-    workers: int = MISSING
-    touching: float = MISSING
-    stacked: float = MISSING
-    drop_height: float = MISSING
-    settle_seconds: float = MISSING
+    layouts: int = at_least(1)
+    appearances: int = at_least(1)
+    n_objects: list[int] = interval(least=1)
+    seed: int = at_least(0)
+    workers: int = at_least(0)
+    touching: float = fraction()
+    stacked: float = fraction()
+    drop_height: float = at_least(0)
+    settle_seconds: float = at_least(0)
     margin: float = MISSING
-    plain: float = MISSING
-    textured: float = MISSING
-    camera_shift: float = MISSING
-    camera_turn: float = MISSING
-    fovy: list[float] = MISSING
-    lamp_x: list[float] = MISSING
-    lamp_y: list[float] = MISSING
-    lamp_z: list[float] = MISSING
-    lamp_diffuse: list[float] = MISSING
-    ambient: list[float] = MISSING
-    headlight_diffuse: list[float] = MISSING
+    plain: float = fraction()
+    textured: float = fraction()
+    camera_shift: float = at_least(0)
+    camera_turn: float = at_least(0)
+    fovy: list[float] = interval(least=1)
+    lamp_x: list[float] = interval()
+    lamp_y: list[float] = interval()
+    lamp_z: list[float] = interval()
+    lamp_diffuse: list[float] = interval(least=0)
+    ambient: list[float] = interval(least=0)
+    headlight_diffuse: list[float] = interval(least=0)
 
 
 @dataclass
 class SegmentationTrainingConfig:
     """Training of the segmentation network (`conf/train_segmentation.yaml`)."""
 
-    seed: int = MISSING
+    seed: int = at_least(0)
     n_objects: int = MISSING
     out: str = MISSING
-    steps: int = MISSING
-    batch: int = MISSING
-    learning_rate: float = MISSING
-    weight_decay: float = MISSING
-    warmup: int = MISSING
-    pull: float = MISSING
-    push: float = MISSING
-    torch_threads: int = MISSING
-    checkpoint_steps: int = MISSING
-    validation_scenes: int = MISSING
+    steps: int = at_least(1)
+    batch: int = at_least(1)
+    learning_rate: float = positive()
+    weight_decay: float = at_least(0)
+    warmup: int = at_least(0)
+    pull: float = at_least(0)
+    push: float = at_least(0)
+    torch_threads: int = at_least(1)
+    checkpoint_steps: int = at_least(1)
+    validation_scenes: int = at_least(1)
     arrangements: ArrangementsConfig = field(default_factory=ArrangementsConfig)
     catalogues: dict[str, ObjectsConfig] = field(default_factory=dict)
     env: EnvConfig = field(default_factory=EnvConfig)

@@ -132,7 +132,7 @@ def q_head(n_inputs: int, hidden: int, n_outputs: int) -> nn.Sequential:
 def check_widths(
     key: str, values: Sequence[Sequence[int]], blocks: Sequence[Sequence[object]]
 ) -> None:
-    """Check for whole numbers of at least 1, one for every entry of every block.
+    """Check that there is a number for every entry of every block.
 
     Args:
         key: Where `values` stand in the config.
@@ -140,7 +140,7 @@ def check_widths(
         blocks: Their lengths are what those of `values` must be.
 
     Raises:
-        SdfgcnError: A number is missing, or below 1.
+        SdfgcnError: A number is missing or too many.
     """
     lengths = [len(block) for block in blocks]
     if not values or [len(block) for block in values] != lengths or min(lengths) < 1:
@@ -148,8 +148,6 @@ def check_widths(
             f"{key} is {values}, but must have an entry for every block and layer of channels, "
             f"whose lengths are {lengths}."
         )
-    if min(min(block) for block in values) < 1:
-        raise SdfgcnError(f"{key} is {values}, but every number must be at least 1.")
 
 
 @torch.no_grad()

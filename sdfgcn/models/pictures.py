@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from omegaconf import MISSING
 from torch import Tensor
 
-from sdfgcn.config import QNetworkConfig, check_above_zero, lookup
+from sdfgcn.config import QNetworkConfig, at_least, lookup, positive
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.models.layers import check_widths
 
@@ -44,10 +44,10 @@ class ConvWidthConfig:
         hidden: Units between the two last linear layers.
     """
 
-    channels: list[list[int]] = MISSING
-    strides: list[list[int]] = MISSING
-    pooling: list[int] = MISSING
-    hidden: int = MISSING
+    channels: list[list[int]] = at_least(1)
+    strides: list[list[int]] = at_least(1)
+    pooling: list[int] = at_least(1)
+    hidden: int = at_least(1)
 
     def final_size(self, image_size: int) -> int:
         """Height and width that the blocks leave of a picture, pixels.
@@ -74,19 +74,19 @@ class ConvConfig(QNetworkConfig):
     """
 
     features: str = MISSING
-    sdf_unit: float = MISSING
+    sdf_unit: float = positive()
     width: str = MISSING
     widths: dict[str, ConvWidthConfig] = MISSING
 
     def check_network(self, image_size: int) -> None:
         """See `QNetworkConfig`."""
+        super().check_network(image_size)
         lookup(PICTURES, "model.features", self.features)
         width = lookup(self.widths, "model.width", self.width)
         key = f"model.widths.{self.width}"
         check_widths(f"{key}.channels", width.channels, width.channels)
         check_widths(f"{key}.strides", width.strides, width.channels)
         check_widths(f"{key}.pooling", [width.pooling], [width.channels])
-        check_above_zero({"model.sdf_unit": self.sdf_unit, f"{key}.hidden": width.hidden})
         if width.final_size(image_size) < 1:
             raise SdfgcnError(
                 f"{key}.strides {width.strides} and pooling {width.pooling} leave nothing of a "

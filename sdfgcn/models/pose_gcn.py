@@ -11,7 +11,7 @@ import torch
 from omegaconf import MISSING
 from torch import Tensor, nn
 
-from sdfgcn.config import QNetworkConfig, check_above_zero, lookup
+from sdfgcn.config import QNetworkConfig, at_least, lookup, positive
 from sdfgcn.models.graph import EDGES, OccupiedNodes
 from sdfgcn.models.layers import (
     PROPAGATIONS,
@@ -46,19 +46,19 @@ class PoseGcnConfig(QNetworkConfig):
     """
 
     features: str = MISSING
-    position_unit: float = MISSING
-    channels: list[list[int]] = MISSING
-    hidden: int = MISSING
+    position_unit: float = positive()
+    channels: list[list[int]] = at_least(1)
+    hidden: int = at_least(1)
     edges: str = MISSING
     propagation: str = MISSING
 
     def check_network(self, image_size: int) -> None:
         """See `QNetworkConfig`."""
+        super().check_network(image_size)
         lookup(POSITIONS, "model.features", self.features)
         lookup(EDGES, "model.edges", self.edges)
         lookup(PROPAGATIONS, "model.propagation", self.propagation)
         check_widths("model.channels", self.channels, self.channels)
-        check_above_zero({"model.hidden": self.hidden, "model.position_unit": self.position_unit})
 
 
 @MODELS.register("pose_gcn", "gt_pose_gcn", config=PoseGcnConfig)

@@ -12,12 +12,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import torch
-from omegaconf import MISSING
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from sdfgcn.config import Config, EncoderConfig
+from sdfgcn.config import EncoderConfig, one_of
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.perception.encoders.encoder import Encoder
 from sdfgcn.registry import ENCODERS
@@ -113,20 +112,7 @@ class ResNetConfig(EncoderConfig):
     """Which network, and its weights."""
 
     path: str | None = None
-    depth: int = MISSING
-
-    def check(self, config: Config) -> None:
-        """Check the depth as well.
-
-        Raises:
-            SdfgcnError: See `ComponentConfig.check`.
-        """
-        super().check(config)
-        if self.depth not in DEPTHS:
-            raise SdfgcnError(
-                f"env.perception.encoder.depth is {self.depth}, but must be one of "
-                f"{', '.join(map(str, DEPTHS))}."
-            )
+    depth: int = one_of(*DEPTHS)
 
 
 @ENCODERS.register("resnet", config=ResNetConfig)

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from omegaconf import MISSING
-
-from sdfgcn.config import SegmentationConfig
+from sdfgcn.config import SegmentationConfig, at_least, positive
 
 
 @dataclass
@@ -14,15 +12,15 @@ class UCNConfig(SegmentationConfig):
     """Unseen object clustering (`conf/segmentation/ucn.yaml`)."""
 
     weights: str | None = None
-    channels: int = MISSING
-    widths: list[int] = MISSING
-    embedding: int = MISSING
-    table_distance: float = MISSING
-    seeds: int = MISSING
-    seed_distance: float = MISSING
-    concentration: float = MISSING
-    iterations: int = MISSING
-    merge_distance: float = MISSING
-    part_gap: int = MISSING
-    max_hole: int | None = None
-    min_pixels: int = MISSING
+    channels: int = at_least(1)
+    widths: list[int] = at_least(1)
+    embedding: int = at_least(1)
+    table_distance: float = at_least(0)
+    seeds: int = at_least(1)
+    seed_distance: float = at_least(0)
+    concentration: float = positive()
+    iterations: int = at_least(0)
+    merge_distance: float = at_least(0)
+    part_gap: int = at_least(0)
+    max_hole: int | None = at_least(0, default=None)
+    min_pixels: int = at_least(0)

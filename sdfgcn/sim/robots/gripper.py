@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
-from omegaconf import MISSING
 
-from sdfgcn.config import RobotConfig
+from sdfgcn.config import RobotConfig, positive
 from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.robots.robot import TCP_OFFSET, Robot, load_fixed_gripper, prepare
 
@@ -20,9 +19,9 @@ AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 class GripperConfig(RobotConfig):
     """The drives' stiffness and force."""
 
-    stiffness: float = MISSING
-    yaw_stiffness: float = MISSING
-    force_limit: float = MISSING
+    stiffness: float = positive()
+    yaw_stiffness: float = positive()
+    force_limit: float = positive()
 
 
 @ROBOTS.register("gripper", config=GripperConfig)

@@ -10,10 +10,9 @@ from absl import logging
 from dm_control import mjcf
 from dm_control.utils.inverse_kinematics import qpos_from_site_pose
 from numpy.typing import NDArray
-from omegaconf import MISSING
 from scipy.spatial.transform import Rotation
 
-from sdfgcn.config import RobotConfig
+from sdfgcn.config import RobotConfig, at_least, positive, vector
 from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.robots.robot import (
     TCP_OFFSET,
@@ -29,9 +28,9 @@ from sdfgcn.sim.robots.robot import (
 class UR5eConfig(RobotConfig):
     """Where the arm stands, and how its inverse kinematics is solved."""
 
-    base_position: list[float] = MISSING
-    ik_tolerance: float = MISSING
-    ik_steps: int = MISSING
+    base_position: list[float] = vector(3)
+    ik_tolerance: float = positive()
+    ik_steps: int = at_least(1)
 
 
 @ROBOTS.register("ur5e", config=UR5eConfig)
