@@ -227,7 +227,7 @@ def test_the_tests_pick_them_up(copy: Path) -> None:
         *("test_imports_nothing_higher[sdfgcn.agents.toy_nearest]",),
         *("test_registry_and_conf_name_the_same_things[logger]",),
         *("test_every_number_has_a_comment[robot/toy_gripper]",),
-        *("test_learns_under_dqn_loss[True-toy_net]",),
+        *("test_learns_under_dqn_loss[toy_net-True]",),
         *("test_layouts_keep_region_and_spacing[toy_shift-6]",),
     ):
         assert f"{test} PASSED" in printed
