@@ -34,15 +34,16 @@ import mujoco
 import numpy as np
 import torch
 from common import file_name, load, parse, provenance, save
-from sdfgcn.perception.push_start import PushPlanner
 from tqdm import tqdm
 
-import sdfgcn.envs.rearrangement as rearrangement
+import sdfgcn.sim.world as sim_world
 from sdfgcn.config import Config
+from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.perception.matching import Matcher
-from sdfgcn.perception.sdf import forget_distances
+from sdfgcn.perception.sdf import SdfTransform
 from sdfgcn.registry import ROBOTS, SEGMENTERS
 from sdfgcn.sim.renderer import Renderer
+from sdfgcn.task.push_space import PushSpace
 
 PARTS = {
     "physics": [
@@ -60,10 +61,10 @@ PARTS = {
     "rendering": [(Renderer, "geom_ids"), (Renderer, "pixels")],
     "segmentation": [(segmenter, "__call__") for segmenter in SEGMENTERS.values()],
     "matching": [(Matcher, "features"), (Matcher, "match")],
-    "sdf": [(rearrangement, "signed_distances")],
-    "push_start": [(PushPlanner, "plan"), (PushPlanner, "centers")],
+    "sdf": [(SdfTransform, "fields")],
+    "push_start": [(PushSpace, "plan"), (PushSpace, "centers")],
     "inverse_kinematics": [(robot, "solve") for robot in ROBOTS.values()],
-    "reset_draw": [(rearrangement, "draw_episode")],
+    "reset_draw": [(sim_world, "draw_episode")],
 }
 
 
@@ -106,9 +107,8 @@ def measure(
 ) -> dict[str, Any]:
     """Make `pushes` random legal pushes, at most `episode` of them before a reset."""
     config = load(overrides)
-    env = rearrangement.RearrangementEnv(config.env)
+    env = RearrangementEnv(config.env)
     env.reset_episode(0)
-    forget_distances()  # an earlier run has seen the same masks
     stopwatch.clear()
     made = episodes = 0
     reset_seconds = 0.0
@@ -125,7 +125,7 @@ def measure(
                 action = rng.choice(np.flatnonzero(td["action_mask"].numpy()))
                 td = env.step(td.set("action", torch.tensor(action)))["next"]
                 assert env.last_step is not None
-                statuses[env.last_step.push.status] += 1
+                statuses[env.last_step.push.result.status] += 1
                 made += 1
                 bar.update()
                 if td["done"]:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -21,17 +22,16 @@ import numpy as np
 from common import RESULTS, file_name, load, provenance, save
 from numpy.typing import NDArray
 from pictures import Picture, outlined, save_png, sheet, titled
-from sdfgcn.envs.types import Scene as Seen
-from sdfgcn.perception.perception import detected
 from tqdm import tqdm
 
 from sdfgcn.config import Config, EnvConfig
-from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.evaluation.report import percent
 from sdfgcn.evaluation.results import wilson
 from sdfgcn.files import write_json, write_text
+from sdfgcn.perception.base import detected
 from sdfgcn.perception.matching import Matcher
 from sdfgcn.sim.episode import draw_episode
+from sdfgcn.sim.world import MujocoWorld
 
 SCENES = 500  # of each number of objects
 N_OBJECTS = (2, 3, 4, 5, 6)
@@ -53,7 +53,7 @@ class View:
 
     Attributes:
         pixels: uint8 [H, W, 3].
-        masks: bool [m, H, W], every one large enough to be detected.
+        masks: bool [m, H, W].
     """
 
     pixels: Picture
@@ -62,7 +62,7 @@ class View:
 
 @dataclass(frozen=True)
 class Scene:
-    """Start and goal of one episode.
+    """Start and goal of one episode, with the masks that are large enough to be detected.
 
     Attributes:
         current: The start's picture.
@@ -83,35 +83,46 @@ def run(overrides: list[str], scenes: int) -> None:
     matcher = Matcher(config.env.perception.encoder)
     head, name = header(config, scenes, overrides), result_name(config)
     rows = finished(name, head)
-    env = RearrangementEnv(config.env, seed=config.seed)
-    env.record = True
-    for n in tqdm(N_OBJECTS[len(rows) :], unit="count"):
-        rows.append(measure(env, matcher, n, scenes, config.seed))
-        write_json(RESULTS / f"{name}.json", {**head, "rows": rows})
-        share = rows[-1]["matcher"]["scenes_right"]
-        tqdm.write(f"{n} objects: {percent(share, digits=1)} of the scenes wholly right")
-    save(name, {**head, "rows": rows})
-    write_text(RESULTS / f"{name}.md", markdown(rows))
-    save_png(name, figure(env, matcher, rows, config.seed))
-    env.close()
+    with closing(Scenes(config.env, config.seed)) as drawn:
+        for n in tqdm(N_OBJECTS[len(rows) :], unit="count"):
+            rows.append(measure(drawn, matcher, n, scenes))
+            write_json(RESULTS / f"{name}.json", {**head, "rows": rows})
+            share = rows[-1]["matcher"]["scenes_right"]
+            tqdm.write(f"{n} objects: {percent(share, digits=1)} of the scenes wholly right")
+        save(name, {**head, "rows": rows})
+        write_text(RESULTS / f"{name}.md", markdown(rows))
+        save_png(name, figure(drawn, matcher, rows))
 
 
-def scene(env: RearrangementEnv, n: int, index: int, seed: int) -> Scene:
-    """Scene number `index` with n objects, whatever was drawn before; goal masks shuffled."""
-    rng = np.random.default_rng([seed, n, index])
-    config = replace(env.config, n_objects=n)
-    drawn = draw_episode(int(rng.integers(2**31)), env.catalogue, config)
-    palette = np.asarray(config.objects.palette)
-    colors = np.ones_like(drawn.colors)
-    colors[:, :3] = palette[rng.integers(len(palette), size=n)]
-    episode = replace(drawn, colors=colors)
-    order = rng.permutation(n)
-    state = rng.bit_generator.state  # what the env would draw later episodes with
-    env.restore_state({"episode": episode, "poses": drawn.start, "pushes": 0, "rng": state})
-    return shuffled(env.episode_start.scene, env.episode_start.goal, order, config)
+class Scenes:
+    """Draws scenes by their number of objects and index, whatever was drawn before."""
+
+    def __init__(self, config: EnvConfig, seed: int) -> None:
+        """Compile the world."""
+        self._config, self._seed = config, seed
+        self._world = MujocoWorld(config)
+
+    def draw(self, n: int, index: int) -> Scene:
+        """Scene number `index` with n objects; goal masks shuffled."""
+        world, config = self._world, replace(self._config, n_objects=n)
+        rng = np.random.default_rng([self._seed, n, index])
+        drawn = draw_episode(int(rng.integers(2**31)), world.catalogue, config)
+        palette = np.asarray(config.objects.palette)
+        colors = np.ones_like(drawn.colors)
+        colors[:, :3] = palette[rng.integers(len(palette), size=n)]
+        world.begin(replace(drawn, colors=colors))
+        world.task.set_poses(world.physics, drawn.start)  # as drawn, not as settled
+        views = (
+            View(view.pixels(), view.true_masks()) for view in (world.look(), world.look_at_goal())
+        )
+        return shuffled(*views, rng.permutation(n), config)
+
+    def close(self) -> None:
+        """Free the world."""
+        self._world.close()
 
 
-def shuffled(current: Seen, goal: Seen, order: NDArray, config: EnvConfig) -> Scene:
+def shuffled(current: View, goal: View, order: NDArray, config: EnvConfig) -> Scene:
     """Keep what is detected, and put the goal's objects in another order."""
     least = config.perception.min_pixels
     slots = np.flatnonzero(detected(current.masks, least))
@@ -139,7 +150,7 @@ def right(found: NDArray[np.int64], expected: NDArray[np.int64]) -> NDArray[np.b
     return (found == expected) | (expected < 0)
 
 
-def measure(env: RearrangementEnv, matcher: Matcher, n: int, count: int, seed: int) -> Row:
+def measure(scenes: Scenes, matcher: Matcher, n: int, count: int) -> Row:
     """Match `count` scenes of n objects, by the whole feature and by its parts.
 
     Returns:
@@ -150,7 +161,7 @@ def measure(env: RearrangementEnv, matcher: Matcher, n: int, count: int, seed: i
     object_right: dict[str, list[bool]] = {kind: [] for kind in KINDS}
     seconds: list[float] = []
     for index in tqdm(range(count), unit="scene", desc=f"{n} objects", leave=False):
-        each = scene(env, n, index, seed)
+        each = scenes.draw(n, index)
         views = (each.current, each.goal)
         began = time.process_time()
         whole = [matcher.features(view.pixels, view.masks) for view in views]
@@ -241,11 +252,11 @@ def examples(rows: Sequence[Row]) -> list[tuple[int, int]]:
     return [*((most["n_objects"], k) for k in rights[:SHOWN]), *failures[:SHOWN]]
 
 
-def figure(env: RearrangementEnv, matcher: Matcher, rows: Sequence[Row], seed: int) -> Picture:
+def figure(scenes: Scenes, matcher: Matcher, rows: Sequence[Row]) -> Picture:
     """The examples, start and goal side by side, four in a line."""
     tiles = []
     for n, index in examples(rows):
-        each = scene(env, n, index, seed)
+        each = scenes.draw(n, index)
         views = (each.current, each.goal)
         found = matcher.match(*(matcher.features(view.pixels, view.masks) for view in views))
         verdict = right(found, each.expected)

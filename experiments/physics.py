@@ -21,7 +21,6 @@ import numpy as np
 from common import load, parse, save
 from tqdm import tqdm
 
-from sdfgcn.config import N_DIRECTIONS
 from sdfgcn.envs.rearrangement import RearrangementEnv
 
 N_OBJECTS = (2, 3, 4, 5, 6)
@@ -43,21 +42,21 @@ def survey(overrides: list[str], pushes: int) -> dict[str, Any]:
             while count < quota:
                 if done or count % PUSHES_PER_EPISODE == 0:
                     td = env.reset_episode(int(rng.integers(2**31)))
-                    poses = env.episode_start.scene.poses
+                    poses = env.episode_start.start.poses
                 legal = np.flatnonzero(td["action_mask"].numpy())
                 td["action"] = int(rng.choice(legal))
                 td = env.step(td)["next"]
                 step = env.last_step
-                after = step.scene.poses
+                after = step.after.poses
                 if not np.isfinite(after).all():
                     raise SystemExit(f"NaN after push {count} of {split} n={n}")
                 travel = np.linalg.norm((after - poses)[:, :2], axis=1)
                 moved += [float(travel.max())]
-                names = [model.name for model in env.episode_start.objects]
+                names = [model.name for model in env.world.truth.objects]
                 worst.append((float(travel.max()), split, n, names[int(travel.argmax())]))
                 crept.append(creep(env))
                 sunk += int((after[:, 2] < 0.0).sum())
-                status[step.push.status] += 1
+                status[step.push.result.status] += 1
                 poses, done = after, bool(td["done"])
                 td = td.clone()
                 count += 1
@@ -92,7 +91,7 @@ def survey(overrides: list[str], pushes: int) -> dict[str, Any]:
 
 def creep(env: RearrangementEnv) -> float:
     """How far the objects' centres go in one more second, metres; the state is put back."""
-    physics, task = env._environment.physics, env._task
+    physics, task = env.world.physics, env.world.task
     before = task.poses(physics)
     task.set_poses(physics, before, resting=False)  # awake: what sleeps does not creep
     mujoco.mj_step(physics.model.ptr, physics.data.ptr, round(1.0 / physics.timestep()))
@@ -115,12 +114,13 @@ def compare(overrides: list[str], pushes: int) -> dict[str, Any]:
             start = {robot: env.reset_episode(seed) for robot, env in envs.items()}
             legal = np.flatnonzero(start["ur5e"]["action_mask"].numpy())
             action = int(rng.choice(legal))
+            row, _ = envs["ur5e"].push_space.decode(action)  # with the oracle, the object's slot
             move = {}
             for robot, env in envs.items():
-                before = env.episode_start.scene.poses[action // N_DIRECTIONS, :2]
+                before = env.episode_start.start.poses[row, :2]
                 start[robot]["action"] = action
                 env.step(start[robot])
-                move[robot] = env.last_step.scene.poses[action // N_DIRECTIONS, :2] - before
+                move[robot] = env.last_step.after.poses[row, :2] - before
             arm, gripper = move["ur5e"], move["gripper"]
             for robot, offset in move.items():
                 lengths[robot].append(float(np.linalg.norm(offset)))

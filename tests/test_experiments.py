@@ -19,9 +19,7 @@ import perception_matching as matching  # noqa: E402
 import perception_readme as readme  # noqa: E402
 import perception_segmentation as segmentation  # noqa: E402
 import pictures  # noqa: E402
-from sdfgcn.envs.types import Scene as Seen  # noqa: E402
 
-from sdfgcn.envs.rearrangement import RearrangementEnv  # noqa: E402
 from sdfgcn.errors import SdfgcnError  # noqa: E402
 from sdfgcn.segmentation.metrics import MaskScores, Score  # noqa: E402
 
@@ -36,9 +34,8 @@ def masks(*areas: int) -> np.ndarray:
     return result
 
 
-def seen(*areas: int) -> Seen:
-    pixels = np.zeros((12, 12, 3), dtype=np.uint8)
-    return Seen(pixels, masks(*areas), sdf=np.zeros(0), poses=np.zeros((len(areas), 7)))
+def seen(*areas: int) -> matching.View:
+    return matching.View(np.zeros((12, 12, 3), dtype=np.uint8), masks(*areas))
 
 
 def row(n: int, wrong: tuple[int, ...] = (), scenes: int = 10) -> dict:
@@ -80,12 +77,11 @@ def test_an_object_that_the_goal_does_not_show_cannot_be_wrong() -> None:
 
 def test_a_scene_does_not_depend_on_those_before_it() -> None:
     config = real_config(*SMALL).env
-    with closing(RearrangementEnv(config, seed=0)) as env:
-        env.record = True
-        later = matching.scene(env, 4, 1, seed=0)
+    with closing(matching.Scenes(config, seed=0)) as scenes:
+        later = scenes.draw(4, 1)
         for n in (2, 4):
-            matching.scene(env, n, 0, seed=0)
-        again = matching.scene(env, 4, 1, seed=0)
+            scenes.draw(n, 0)
+        again = scenes.draw(4, 1)
     np.testing.assert_array_equal(again.current.pixels, later.current.pixels)
     np.testing.assert_array_equal(again.goal.masks, later.goal.masks)
     assert sorted(again.expected) == [0, 1, 2, 3]

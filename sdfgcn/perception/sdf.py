@@ -111,10 +111,6 @@ class SdfTransform:
             fields[row] = self._field(packed[row].tobytes())
         return torch.from_numpy(fields)
 
-    def forget(self) -> None:
-        """Drop the remembered fields, so that a benchmark starts from nothing."""
-        self._fields.clear()
-
     def _field(self, packed: bytes) -> NDArray:
         if packed in self._fields:
             self._fields.move_to_end(packed)
