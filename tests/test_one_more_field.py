@@ -16,7 +16,7 @@ from torchrl.envs.utils import check_env_specs
 from toys import TOYS, toy_env
 
 from sdfgcn.envs.rearrangement import RearrangementEnv
-from sdfgcn.loggers import NoLogger
+from sdfgcn.loggers.files import NoLogger
 from sdfgcn.task.scene import Scene, scene_field
 from sdfgcn.train.held_out import HeldOutCurve
 from sdfgcn.train.hindsight import relabelled
@@ -113,7 +113,7 @@ def test_a_training_goes_on_with_it(tmp_path: Path) -> None:
     def trained(pushes: int) -> tuple[TensorDict, TensorDict]:
         """The transitions at the start and at the end."""
         config = real_config(*CONFIG, "her=future", f"budget.pushes={pushes}")
-        logger = NoLogger(tmp_path)
+        logger = NoLogger(config.logger, tmp_path)
         curve = HeldOutCurve(tmp_path, logger, None, None)
         trainer = Trainer(config, tmp_path, logger, small_network, lambda _: None, curve)
         buffer = trainer._replay.buffer

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from configs import real_config
+from conftest import Envs
 from tensordict import TensorDict
 
 from sdfgcn.train.curriculum import Curriculum, ObjectCountSampler
@@ -54,22 +55,29 @@ def test_on_grows_with_success_at_the_newest_count() -> None:
     assert counts.newest == 4
 
 
-def test_ends_of_episodes_are_heard_of_from_the_env() -> None:
-    """By the number of objects that the env tells, whatever of the goal was detected."""
+def test_an_episode_counts_by_the_objects_on_the_table(toys_of: Envs) -> None:
+    """The env tells how many there are, also where neither they nor their goals are detected."""
+    env = toys_of("gripper", "n_objects=2", "env.perception.min_pixels=9000")
+    begun = env.reset_episode(0)
+    assert not begun["goal"].node_mask.any()
+    pushed = env.step(begun.set("action", torch.tensor(0)))
+    assert bool(pushed["next", "done"])
+    config = real_config("model=sdfgcn", "curriculum=on").curriculum
+    curriculum = Curriculum(config, ObjectCountSampler(config, 3))
+    curriculum.pushed(pushed[None])
+    assert curriculum.state_dict() == {"reached": 1, "recent": [0]}  # 2 is the newest
+
+
+def test_only_ends_of_episodes_count() -> None:
     config = real_config("model=sdfgcn", "curriculum=on", "curriculum.window=2").curriculum
     counts = ObjectCountSampler(config, 3)
     curriculum = Curriculum(config, counts)
-    pushes = TensorDict(
-        {
-            "goal": {"node_mask": torch.zeros(4, 3, dtype=torch.bool)},
-            "next": {
-                "done": torch.tensor([[False], [True], [True], [True]]),
-                "success": torch.tensor([[False], [True], [True], [True]]),
-                "n_objects": torch.tensor([[2], [2], [3], [2]]),  # 3 is not the newest yet
-            },
-        },
-        batch_size=[4],
-    )
+    outcome = {
+        "done": torch.tensor([[False], [True], [True], [True]]),
+        "success": torch.ones(4, 1, dtype=torch.bool),
+        "n_objects": torch.tensor([[2], [2], [3], [2]]),  # 3 is not the newest yet
+    }
+    pushes = TensorDict({"next": outcome}, batch_size=[4])
     curriculum.pushed(pushes[:3])
     assert counts.newest == 2
     curriculum.pushed(pushes[3:])

@@ -17,7 +17,7 @@ from tensordict import TensorDict
 from toys import TOYS
 
 from sdfgcn.config import Config
-from sdfgcn.loggers import CsvLogger, NoLogger
+from sdfgcn.loggers.files import CsvLogger, NoLogger
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.train.held_out import FIGURES, HeldOutCurve
 from sdfgcn.train.learner import Learner
@@ -42,11 +42,13 @@ def small_world(monkeypatch: pytest.MonkeyPatch) -> None:
 def weights_of(folder: Path, pushes: int, *overrides: str, **options: object) -> Weights:
     """Train up to so many pushes, from the folder's checkpoint if there is one."""
     config = real_config(*SMALL, f"budget.pushes={pushes}", *overrides)
-    return train(config, folder, NoLogger(folder), small_network, **options).state_dict()
+    return train(
+        config, folder, NoLogger(config.logger, folder), small_network, **options
+    ).state_dict()
 
 
 def trainer_of(config: Config, folder: Path, build: BuildNetwork = small_network) -> Trainer:
-    logger = NoLogger(folder)
+    logger = NoLogger(config.logger, folder)
     curve = HeldOutCurve(folder, logger, None, None)
     torch.manual_seed(config.seed)
     return Trainer(config, folder, logger, build, lambda network: None, curve)
@@ -179,7 +181,7 @@ def test_the_curve_goes_on_from_a_checkpoint(tmp_path: Path) -> None:
 
 def test_the_logger_hears_of_the_curve(tmp_path: Path) -> None:
     config = real_config(*SMALL, "budget.pushes=10", "train.eval_pushes=10")
-    train(config, tmp_path, CsvLogger(tmp_path), small_network, evaluate=Judge())
+    train(config, tmp_path, CsvLogger(config.logger, tmp_path), small_network, evaluate=Judge())
     with (tmp_path / "metrics.csv").open() as file:
         told = [row for row in csv.DictReader(file) if row["name"].startswith("eval/")]
     assert {row["step"] for row in told} == {"10"}
