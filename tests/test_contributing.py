@@ -27,8 +27,8 @@ TOYS = {
         "env.objects.side is 0.0, but must be above 0.",
     ),
     "scenario=toy_shift": (
-        *("env.scenario.reach=0.1", "env.scenario.reach=-0.1"),
-        "env.scenario.reach is -0.1, but must be above 0.",
+        *("env.scenario.reach=0.1", "env.scenario.reach=0.7"),
+        "env.scenario.reach is 0.7, but must be below 0.5, the width of env.arena.spawn_x.",
     ),
     "model=toy_nearest": (
         *("model.margin=0.1", "model.margin=-1.0"),
@@ -93,7 +93,7 @@ for seen in (
     options = ["objects=toy_boxes", "scenario=toy_shift", "robot=toy_gripper", *seen]
     own = [toys[option][0] for option in options if option in toys]
     env = sdfgcn.make_env(*options, *own, "n_objects=2")
-    first = env.reset_episode(0)
+    first = env.reset_episode(1)
     shift = (first["goal", "center"] - first["scene", "center"])[first["matched"]]
     pushes = env.rollout(2, env.rand_action, auto_reset=False, tensordict=first)
     moved.append([shift.tolist(), pushes["next", "reward"].flatten().tolist()])
@@ -227,7 +227,7 @@ def test_the_tests_pick_them_up(copy: Path) -> None:
         *("test_imports_nothing_higher[sdfgcn.agents.toy_nearest]",),
         *("test_registry_and_conf_name_the_same_things[logger]",),
         *("test_every_number_has_a_comment[robot/toy_gripper]",),
-        *("test_learns_under_dqn_loss[True-toy_net]",),
+        *("test_learns_under_dqn_loss[toy_net-True]",),
         *("test_layouts_keep_region_and_spacing[toy_shift-6]",),
     ):
         assert f"{test} PASSED" in printed
