@@ -102,10 +102,7 @@ class RunFolder:
         return self._table.read()
 
     def keep(self, episodes: Iterable[EpisodeResult]) -> list[EpisodeResult]:
-        """Keep each episode as it comes, and return all that the folder holds.
-
-        Args:
-            episodes: The missing ones, in any order.
+        """Keep each episode as it comes, in any order, and return all that the folder holds.
 
         Returns:
             Every episode, sorted by index, as the rewritten `episodes.csv` has them.

@@ -27,10 +27,6 @@ log = logging.getLogger(__name__)
 def load_catalogue(cfg: ObjectsConfig, split: str) -> tuple[ObjectModel, ...]:
     """Return the objects of one split, building the cache first if need be.
 
-    Args:
-        cfg: Source, limits and settings (`conf/objects/`).
-        split: "train" or "test".
-
     Returns:
         The object models, in a fixed order.
 

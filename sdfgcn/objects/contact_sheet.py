@@ -32,9 +32,7 @@ COLUMNS = 8
 def draw_sheet(cfg: ObjectsConfig, pieces: bool = False) -> Image.Image:
     """Draw all objects of both splits in their most probable resting pose.
 
-    Args:
-        cfg: The catalogue.
-        pieces: Draw the convex collision pieces, each in its own colour.
+    With `pieces` the convex collision pieces are drawn instead, each in its own colour.
 
     Returns:
         The sheet; below each object its name, category and split, size and mass.

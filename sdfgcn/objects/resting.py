@@ -43,14 +43,11 @@ def find_rests(
 ) -> list[tuple[Rotation, float]]:
     """Drop a body from random orientations and group where it comes to rest.
 
+    `pieces` are convex, each [P, 3] in metres, about their common centroid.
+
     Drops that still move after `settle_seconds` are left out, and so are poses rarer than
     `settle_min_probability`. A family of poses that look alike (a cylinder on its side at any roll
     angle) counts as one pose, because each of its members alone would be too rare to keep.
-
-    Args:
-        pieces: Convex pieces about their common centroid, each [P, 3], metres.
-        cfg: The catalogue's settings.
-        rng: Draws the orientations.
 
     Returns:
         (orientation at yaw zero, probability), most probable first; empty if nothing came to rest.

@@ -53,12 +53,7 @@ class Appearance:
             self._model.geom_rgba[geom, :3] = 1.0 if textured else colour
 
     def draw(self, rng: np.random.Generator, geoms: NDArray[np.int64]) -> None:
-        """Draw light, camera, table colour and the props' colours.
-
-        Args:
-            rng: Source of randomness.
-            geoms: [n] the visual geoms of the props on the table.
-        """
+        """Draw light, camera, table colour and the colours of props by their [n] visual geoms."""
         self.reset()
         model, arrangements = self._model, self._arrangements
         place = [

@@ -47,9 +47,7 @@ class Spacing:
 def footprint(vertices: NDArray, quat: NDArray) -> Polygon:
     """What an object covers of the table, seen from above, with its origin at (0, 0).
 
-    Args:
-        vertices: [V, 3] in the object's frame, metres.
-        quat: [4] its orientation (w, x, y, z).
+    Its `vertices` [V, 3] are in its own frame, metres; `quat` is its orientation (w, x, y, z).
 
     Returns:
         The convex hull of its outline.
