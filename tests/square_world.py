@@ -83,8 +83,8 @@ class SquareWorld:
         if np.isnan(command.start).any():
             return PushResult("unreachable", begin, begin)
         move = STEP * np.array([np.cos(command.angle), np.sin(command.angle)])
-        nearest = np.nanargmin(np.linalg.norm(self.points - command.start, axis=1))
-        self.points[nearest] += move
+        distances = np.linalg.norm(self.points - command.start, axis=1)
+        self.points[np.nan_to_num(distances, nan=np.inf).argmin()] += move
         return PushResult("done", begin, begin + np.append(move, 0.0))
 
     def poses(self) -> None:

@@ -13,6 +13,9 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from configs import real_config
+
+from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
 
 ROOT = Path(__file__).parents[1]
 # A fenced block whose first line is a comment that names its file.
@@ -27,8 +30,8 @@ TOYS = {
         "env.objects.side is 0.0, but must be above 0.",
     ),
     "scenario=toy_shift": (
-        *("env.scenario.reach=0.1", "env.scenario.reach=-0.1"),
-        "env.scenario.reach is -0.1, but must be above 0.",
+        *("env.scenario.reach=0.1", "env.scenario.reach=0.7"),
+        "env.scenario.reach is 0.7, but must be below 0.5, the width of env.arena.spawn_x.",
     ),
     "model=toy_nearest": (
         *("model.margin=0.1", "model.margin=-1.0"),
@@ -93,7 +96,7 @@ for seen in (
     options = ["objects=toy_boxes", "scenario=toy_shift", "robot=toy_gripper", *seen]
     own = [toys[option][0] for option in options if option in toys]
     env = sdfgcn.make_env(*options, *own, "n_objects=2")
-    first = env.reset_episode(0)
+    first = env.reset_episode(1)
     shift = (first["goal", "center"] - first["scene", "center"])[first["matched"]]
     pushes = env.rollout(2, env.rand_action, auto_reset=False, tensordict=first)
     moved.append([shift.tolist(), pushes["next", "reward"].flatten().tolist()])
@@ -137,6 +140,18 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache for the recipes' objects, with the household ones that other tests use."""
+    config = real_config("objects=household").env.objects
+    load_catalogue(config, "test")
+    household = catalogue_folder(config)
+    folder = tmp_path_factory.mktemp("cache")
+    (folder / "objects").mkdir()
+    (folder / "objects" / household.name).symlink_to(household)
+    return folder
+
+
 def python(copy: Path, *arguments: object, path: tuple[Path, ...] = (), **env: object) -> str:
     """What Python prints with the copy, and with the packages in other folders."""
     done = subprocess.run(
@@ -174,8 +189,8 @@ def test_code_of_the_recipes_is_clean(copy: Path, site: Path) -> None:
         python(copy, "-m", "ruff", *command, "--config", ROOT / "pyproject.toml", *files)
 
 
-def test_each_is_checked_built_and_run(copy: Path, site: Path, tmp_path: Path) -> None:
-    printed = python(copy, "-c", USE, json.dumps(TOYS), path=(site,), SDFGCN_CACHE=tmp_path)
+def test_each_is_checked_built_and_run(copy: Path, site: Path, cache: Path) -> None:
+    printed = python(copy, "-c", USE, json.dumps(TOYS), path=(site,), SDFGCN_CACHE=cache)
     said, groups, robots, moved = json.loads(printed)
     assert said == {option: sentence for option, (_, _, sentence) in TOYS.items()}
     options = {option for group in groups for option in group}
@@ -188,7 +203,9 @@ def test_each_is_checked_built_and_run(copy: Path, site: Path, tmp_path: Path) -
             assert abs(x - 0.1) < 0.01 and abs(y) < 0.01
 
 
-def test_models_are_trained_and_evaluated(copy: Path, site: Path, tmp_path: Path) -> None:
+def test_models_are_trained_and_evaluated(
+    copy: Path, site: Path, cache: Path, tmp_path: Path
+) -> None:
     """One sweep: the Q-network, the agent, and the agent of the other package."""
     models = ("toy_net", "toy_nearest", "toy_biased")
     printed = python(
@@ -200,7 +217,7 @@ def test_models_are_trained_and_evaluated(copy: Path, site: Path, tmp_path: Path
         *("budget=smoke", "budget.pushes=20", "train.learning_starts=5", "train.batch_size=4"),
         *("train.log_pushes=10", "robot@train.env.robot=toy_gripper"),
         path=(site,),
-        SDFGCN_CACHE=tmp_path / "cache",
+        SDFGCN_CACHE=cache,
     )
     for job, model in enumerate(models):
         assert f"{model} (this run)" in printed
@@ -215,19 +232,24 @@ def test_models_are_trained_and_evaluated(copy: Path, site: Path, tmp_path: Path
     assert int(last["updates"]) > 0
 
 
-def test_the_tests_pick_them_up(copy: Path) -> None:
-    files = ("test_layers.py", "test_models.py", "test_sim_scenarios.py")
+def test_the_tests_pick_them_up(copy: Path, cache: Path) -> None:
+    files = ("layers", "objects", "sim_scenarios", "agents", "models", "perceptions", "matching")
     printed = python(
         copy,
         *("-m", "pytest", "-o", "addopts=", "-v", "-p", "no:cacheprovider"),
-        *(f"tests/{name}" for name in files),
+        *(f"tests/test_{name}.py" for name in files),
         *("-k", "toy_ or registry_and_conf"),
+        SDFGCN_CACHE=cache,
     )
     for test in (
-        *("test_imports_nothing_higher[sdfgcn.agents.toy_nearest]",),
-        *("test_registry_and_conf_name_the_same_things[logger]",),
-        *("test_every_number_has_a_comment[robot/toy_gripper]",),
-        *("test_learns_under_dqn_loss[True-toy_net]",),
-        *("test_layouts_keep_region_and_spacing[toy_shift-6]",),
+        "test_imports_nothing_higher[sdfgcn.agents.toy_nearest]",
+        "test_registry_and_conf_name_the_same_things[logger]",
+        "test_every_number_has_a_comment[robot/toy_gripper]",
+        "test_learns_under_dqn_loss[toy_net-True]",
+        "test_resting_poses_rest[toy_boxes]",
+        "test_layouts_keep_region_and_spacing[toy_shift-6]",
+        "test_action_is_legal_and_follows_from_the_generator[toy_nearest]",
+        "test_specs[toy_eroded]",
+        "test_features_are_one_row_an_object[toy_pyramid]",
     ):
         assert f"{test} PASSED" in printed

@@ -5,19 +5,23 @@ import subprocess
 import sys
 import time
 import traceback
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from configs import real_config
 from odd_worlds import dying_world
 from point_world import Endless, Notes, PointWorld
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
 
 from sdfgcn.agents import build_agent
 from sdfgcn.config import Config
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.episodes import EpisodeResult
-from sdfgcn.evaluation.evaluate import Evaluation, evaluate, watch
+from sdfgcn.evaluation.evaluate import Evaluation, HeldOutEvaluation, evaluate, watch
 from sdfgcn.evaluation.play import episode_seeds, play_episode
 from sdfgcn.registry import LOGGERS, RECORDERS
 
@@ -58,6 +62,40 @@ def test_episode_by_hand() -> None:
     assert (episode.pushes, episode.return_) == (3, 3.0)
     assert episode.error_mm == pytest.approx((10 + 10) / 2)
     assert 0 < episode.wall_s < 5
+
+
+class ToTheRight(TensorDictModuleBase):
+    """Values a push of the first object along +x most; that of the second is worth `second`."""
+
+    in_keys = ("scene",)
+    out_keys = ("action_value",)
+
+    def __init__(self, second: float) -> None:
+        super().__init__()
+        self.second = second
+
+    def forward(self, td: TensorDict) -> TensorDict:
+        values = torch.zeros_like(td["action_mask"], dtype=torch.float32)
+        values[0], values[8] = 1.0, self.second
+        return td.set("action_value", values)
+
+
+def test_a_network_in_training_is_evaluated_greedily_on_held_out_scenes() -> None:
+    own = ("n_objects=2", "train.eval_episodes=3", "env.pushes_per_object=5", "eval.epsilon=1.0")
+    with closing(HeldOutEvaluation(config(*own), PlacedWorld)) as evaluation:
+        # As in the episode above; no random push, whatever eval.epsilon says.
+        figures = evaluation(ToTheRight(second=0.0))
+        assert figures == {
+            "episodes": 3.0,
+            "success_rate": 1.0,
+            "episode_pushes": 3.0,
+            "error_mm": pytest.approx(10.0),
+            "out_of_range_rate": 0.0,
+        }
+        # The second point goes 10 times 0.06 m away, to the step limit of 5 pushes an object.
+        figures = evaluation(ToTheRight(second=2.0))
+        assert (figures["success_rate"], figures["episode_pushes"]) == (0.0, 10.0)
+        assert figures["error_mm"] == pytest.approx((190 + 1000 * np.hypot(0.6, 0.01)) / 2, abs=0.1)
 
 
 def test_step_limit_truncates() -> None:

@@ -152,6 +152,23 @@ def test_an_episode_of_the_rule_based_agent(env, config, tmp_path):
     assert "2 pushes" in seen["/summary", "TextDocument:text"][None][0]
 
 
+@pytest.mark.filterwarnings("error")
+def test_an_episode_that_ends_with_an_empty_table(env, config):
+    """Somebody clears the table after the first push; the distances are unknown then."""
+
+    def agent(td):
+        if td["pushes"].item() == 1:
+            env.world.points[:] = np.nan
+        return td.set("action", env.push_space.encode(0, RIGHT))
+
+    played = play_episode(env, agent, episode=0, seed=0)
+    assert (played.pushes, played.success, played.truncated) == (2, False, False)
+    assert np.isnan(played.error_mm)
+    # The first push as above; the second one costs itself, two objects and the end.
+    assert played.return_ == pytest.approx(1.78 + (-0.02 - 2 * 0.5 - 1.0), abs=1e-4)
+    assert env.last_step.reward_terms["none_left"] == -1.0
+
+
 def test_the_step_limit_ends_an_episode_that_gets_nowhere(config):
     # 20 pushes of two squares to and fro.
     with closing(build(config, START, [(0.0, -0.12), (0.1, 0.1)])) as env:

@@ -5,7 +5,6 @@ two keys is checked by `sdfgcn/validation.py`. Nothing mutates a config once it 
 """
 
 from sdfgcn.config.base import (
-    N_DIRECTIONS,
     SPLITS,
     ComponentConfig,
     at_least,

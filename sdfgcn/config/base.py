@@ -14,7 +14,6 @@ from sdfgcn.errors import SdfgcnError
 if TYPE_CHECKING:
     from sdfgcn.config.experiment import Config
 
-N_DIRECTIONS = 8  # for what does not use PushSpace yet
 SPLITS = ("train", "test")  # objects seen in training, objects held out
 
 T = TypeVar("T")

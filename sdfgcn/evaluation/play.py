@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -106,6 +107,7 @@ def play_episode(
             recorder.step(_with_values(env.last_step, values))
     last, start = env.last_step, env.episode_start
     objects = () if start.truth is None else start.truth.objects
+    known = last.distances[np.isfinite(last.distances)]  # none where nothing is matched any more
     return EpisodeResult(
         episode=episode,
         seed=seed,
@@ -113,7 +115,7 @@ def play_episode(
         objects=";".join(model.name for model in objects),
         success=bool(last.success),
         pushes=last.index,
-        error_mm=round(1000 * float(np.nanmean(last.distances)), 3),
+        error_mm=round(1000 * float(known.mean()), 3) if len(known) else math.nan,
         out_of_range=bool(last.out_of_range),
         truncated=bool(last.truncated),
         return_=round(total_reward, 6),

@@ -1,1 +1,1 @@
-"""Training Q-networks: double DQN with hindsight, actors and learner apart."""
+"""Training Q-networks: double DQN with hindsight, who pushes and who learns apart."""

@@ -1,6 +1,6 @@
 """Checkpoints of a training: one archive, replaced in one step, that holds all that is needed.
 
-Network, target network, optimiser, replay buffer, the state of the actors and of every random
+Network, target network, optimiser, replay buffer, the state of who pushes and of every random
 generator, counters, and the config that they belong to.
 """
 
