@@ -18,8 +18,7 @@ from sdfgcn.run_folder import RunFolder
 def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
     """Train if the model is to be trained, play the missing episodes, write the results of all.
 
-    Returns:
-        The content of `results.json`.
+    Returns the content of `results.json`.
 
     Raises:
         SdfgcnError: What it needs is not there: the objects, room for a layout.

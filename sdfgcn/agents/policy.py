@@ -78,7 +78,8 @@ def load_network(checkpoint: str | Path) -> tuple[QNetwork, dict[str, Any]]:
         SdfgcnError: There is no such policy, or its files are damaged.
     """
     folder = find_policy(checkpoint).resolve()
-    return _load(folder, (folder / WEIGHTS).stat().st_mtime_ns if _whole(folder) else 0)
+    weights = folder / WEIGHTS
+    return _load(folder, weights.stat().st_mtime_ns if weights.is_file() else 0)
 
 
 def load_policy(
@@ -121,10 +122,6 @@ def trained_agent(config: Config) -> QAgent:
             f"model.name is '{config.model.name}'."
         )
     return QAgent(network)
-
-
-def _whole(folder: Path) -> bool:
-    return (folder / WEIGHTS).is_file()
 
 
 @lru_cache(maxsize=4)

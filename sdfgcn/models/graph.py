@@ -97,11 +97,7 @@ class OccupiedNodes:
         self._here, self._there = here, there
 
     def gather(self, current: Tensor, goal: Tensor) -> Tensor:
-        """Take the occupied nodes' features [M, ...] out of the padded ones [B, N, ...].
-
-        Returns:
-            [M, ...], memory of its own.
-        """
+        """Copy the occupied nodes' features [M, ...] out of the padded ones [B, N, ...]."""
         rows = current.new_empty(len(self.is_goal), *current.shape[2:])
         rows[self.is_current] = current[self._here]
         rows[self.is_goal] = goal[self._there]

@@ -40,8 +40,6 @@ class PoseGcnConfig(QNetworkConfig):
         position_unit: The length that becomes 1, metres.
         channels: Units of each linear layer, one list for each block.
         hidden: Units between the two last linear layers.
-        edges: Between the nodes of one picture, a key of `EDGES`.
-        propagation: A key of `PROPAGATIONS`.
     """
 
     features: str = one_of(*POSITIONS)

@@ -26,12 +26,7 @@ from sdfgcn.task.scene import Scene
 
 @dataclass
 class ConvGcnConfig(ConvConfig):
-    """A graph convolutional Q-network over pictures (`conf/model/sdfgcn.yaml` and ablations).
-
-    Attributes:
-        edges: Between the nodes of one picture, a key of `EDGES`.
-        propagation: A key of `PROPAGATIONS`.
-    """
+    """A graph convolutional Q-network over pictures (`conf/model/sdfgcn.yaml` and ablations)."""
 
     edges: str = one_of(*EDGES)
     propagation: str = one_of(*PROPAGATIONS)

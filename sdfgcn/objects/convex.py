@@ -32,13 +32,10 @@ def compound_volume_centroid(pieces: Sequence[NDArray]) -> tuple[float, NDArray]
 
 
 def hull_vertices(points: NDArray, limit: int) -> NDArray:
-    """Return a hull like that of `points` [P, 3], but with at most `limit` (8 or more) vertices.
+    """Return a hull as large as that of `points` [P, 3], with at most `limit` (>= 8) vertices.
 
     Greedy: each step takes the vertex that stands out farthest from the hull so far. Leaving out
     vertices shrinks a round shape, so the result is scaled about its mean to the old volume.
-
-    Returns:
-        [<= limit, 3]: the vertices of a hull with the volume of that of `points`.
     """
     full = ConvexHull(points)
     vertices = points[full.vertices]

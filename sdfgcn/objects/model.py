@@ -5,15 +5,13 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 from scipy.spatial.transform import Rotation
-
-from sdfgcn.config import ObjectsConfig
 
 
 @dataclass(frozen=True)
@@ -115,10 +113,6 @@ class Recipe:
     build: Callable[[], Shape]
 
 
-def _no_fingerprint(cfg: ObjectsConfig) -> str:
-    return ""
-
-
 @dataclass(frozen=True)
 class Source:
     """Where objects come from; `sdfgcn/objects/sources/` registers each by name.
@@ -130,7 +124,7 @@ class Source:
     """
 
     recipes: Callable[[Any], list[Recipe]]  # takes the source's own subclass of ObjectsConfig
-    fingerprint: Callable[[Any], str] = _no_fingerprint
+    fingerprint: Callable[[Any], str] = field(default=lambda cfg: "")
     lenient: bool = False
 
 

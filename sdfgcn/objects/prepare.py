@@ -18,16 +18,13 @@ from sdfgcn.objects.resting import Pose, find_rests, tipping_angle, to_rest
 
 
 def prepare(recipe: Recipe, cfg: ObjectsConfig) -> ObjectModel:
-    """Build one catalogue entry.
-
-    Returns:
-        The scaled object with its resting poses.
+    """Build one catalogue entry: the scaled object with its resting poses.
 
     Raises:
         SdfgcnError: The object never comes to rest, or a collision piece of it is flat.
     """
     try:
-        shape = _centred(_reduced(recipe.build(), cfg))
+        shape = _reduced(recipe.build(), cfg)
     except QhullError as error:
         raise SdfgcnError(f"The object {recipe.name} has a convex piece without volume.") from error
     first = _first_scale(shape, cfg)
@@ -49,14 +46,12 @@ def prepare(recipe: Recipe, cfg: ObjectsConfig) -> ObjectModel:
 
 
 def _reduced(shape: Shape, cfg: ObjectsConfig) -> Shape:
+    """The shape about its centroid, with no more faces, pieces and vertices than allowed."""
     pieces = merge_pieces(shape.pieces, cfg.max_pieces)
     vertices, faces, uv = decimate(shape.vertices, shape.faces, shape.uv, cfg.max_faces)
     pieces = [hull_vertices(piece, cfg.max_piece_vertices) for piece in pieces]
-    return replace(shape, vertices=vertices, faces=faces, uv=uv, pieces=tuple(pieces))
-
-
-def _centred(shape: Shape) -> Shape:
-    _, centroid = compound_volume_centroid(shape.pieces)
+    _, centroid = compound_volume_centroid(pieces)
+    shape = replace(shape, vertices=vertices, faces=faces, uv=uv, pieces=tuple(pieces))
     return shape.mapped(lambda points: points - centroid)
 
 

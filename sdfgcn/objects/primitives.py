@@ -127,7 +127,8 @@ def rod(path: NDArray, radius: float, squash: float = 1.0) -> Shape:
     if closed:
         tangents[0] = tangents[-1] = path[1] - path[-2]
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    normal = _plane_normal(path)
+    across = np.linalg.svd(path - path.mean(axis=0))[2][2]
+    normal = across / np.linalg.norm(across)  # of the path's plane; of a straight path, any
     side = np.cross(tangents, normal)
     flat = circle(radius, 8, squash)
     rings = path[:, None] + flat[:, :1] * normal + flat[:, 1:] * side[:, None]
@@ -138,12 +139,6 @@ def arc_path(radius: float, start: float, end: float, stretches: int) -> NDArray
     """Return points of a circle's arc in the x-z plane, angles in degrees, [stretches + 1, 3]."""
     angle = np.deg2rad(np.linspace(start, end, stretches + 1))
     return np.column_stack([radius * np.cos(angle), np.zeros_like(angle), radius * np.sin(angle)])
-
-
-def _plane_normal(path: NDArray) -> NDArray:
-    """The unit normal of a flat path's plane; for a straight path, any unit vector across it."""
-    across = np.linalg.svd(path - path.mean(axis=0))[2][2]
-    return across / np.linalg.norm(across)
 
 
 def _arc(radius: float, z: float, angles: NDArray) -> NDArray:

@@ -54,7 +54,7 @@ def find_rests(
     """
     model = _drop_model(pieces, cfg)
     points = np.concatenate(pieces)
-    drops = [_drop(model, points, rotation, cfg) for rotation in _orientations(cfg, rng)]
+    drops = [_drop(model, points, Rotation.random(rng=rng), cfg) for _ in range(cfg.settle_drops)]
     settled = [rotation for rotation in drops if rotation is not None]
     return _group(settled, points, cfg.settle_min_probability) if settled else []
 
@@ -76,10 +76,6 @@ def tipping_angle(points: NDArray) -> float:
     except QhullError:
         return 0.0
     return float(np.degrees(np.arctan2(max(0.0, -edges[:, -1].max()), -bottom)))
-
-
-def _orientations(cfg: ObjectsConfig, rng: np.random.Generator) -> list[Rotation]:
-    return [Rotation.random(rng=rng) for _ in range(cfg.settle_drops)]
 
 
 def _drop_model(pieces: Sequence[NDArray], cfg: ObjectsConfig) -> mujoco.MjModel:

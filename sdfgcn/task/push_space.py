@@ -94,11 +94,7 @@ class PushSpace:
         return values.unflatten(-1, (-1, self.n_directions))
 
     def nearest(self, offset: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Rank the directions by their angle to an offset [2] on the table, nearest first.
-
-        Returns:
-            [D] directions.
-        """
+        """Rank the directions [D] by their angle to an offset [2] on the table, nearest first."""
         turn = 2 * np.pi / self.n_directions
         angle = np.arctan2(offset[1], offset[0])
         gap = (np.arange(self.n_directions) * turn - angle + np.pi) % (2 * np.pi) - np.pi

@@ -32,11 +32,7 @@ def zero_contour(sdf: NDArray[np.floating]) -> list[NDArray[np.float64]]:
 def vertex_normals(
     vertices: NDArray[np.floating], faces: NDArray[np.integer]
 ) -> NDArray[np.float32]:
-    """Normals for smooth shading of a mesh, [V, 3] and [F, 3], each face weighted by its area.
-
-    Returns:
-        [V, 3] unit vectors; zero for a vertex of no face.
-    """
+    """[V, 3] unit normals for smooth shading of a mesh, each face weighted by its area."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     of_faces = np.cross(b - a, c - a)
     sums = np.zeros_like(vertices, dtype=np.float64)

@@ -31,6 +31,7 @@ class Unreachable(Exception):  # noqa: N818 - an outcome of planning, not a fail
 class Robot(composer.Entity, abc.ABC):
     """A position-driven robot that carries a closed Robotiq 2F-85."""
 
+    teleports = False  # whether it is put where it comes down, if its way there is free
     _config: RobotConfig
     _root: mjcf.RootElement
     _joints: Sequence[mjcf.Element]
@@ -40,8 +41,6 @@ class Robot(composer.Entity, abc.ABC):
     def mjcf_model(self) -> mjcf.RootElement:
         """The robot's MJCF tree."""
         return self._root
-
-    teleports = False  # whether it is put where it comes down, if its way there is free
 
     def drives(self) -> tuple[Sequence[mjcf.Element], Sequence[mjcf.Element]]:
         """The joints that move the tool and their actuators, in the same order."""
@@ -200,9 +199,5 @@ def _close(gripper: mjcf.RootElement) -> mjcf.Physics:
 
 @functools.cache
 def closed_fingers() -> NDArray:
-    """Finger joint positions of the closed gripper, found by closing it once.
-
-    Returns:
-        [8] joint positions, radians, in the gripper's joint order.
-    """
+    """[8] finger joint positions (radians) of the closed gripper, found by closing it once."""
     return _close(load_gripper()).data.qpos.copy()
