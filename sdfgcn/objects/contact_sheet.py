@@ -15,6 +15,7 @@ from hydra.errors import HydraException
 from numpy.typing import NDArray
 from omegaconf.errors import OmegaConfBaseException
 from PIL import Image, ImageDraw
+from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from sdfgcn.compose import load_config
@@ -49,17 +50,12 @@ def draw_sheet(cfg: ObjectsConfig, pieces: bool = False) -> Image.Image:
 
 
 def _caption(model: ObjectModel) -> str:
-    size = "x".join(f"{100 * side:.1f}" for side in np.ptp(_resting(model), axis=0))
+    resting = Rotation.from_quat(model.rests[0].quat, scalar_first=True).apply(model.vertices)
+    size = "x".join(f"{100 * side:.1f}" for side in np.ptp(resting, axis=0))
     return (
         f"{model.name}\n{model.category} ({model.split})\n"
         f"{size} cm, {1000 * model.mass:.0f} g, {len(model.rests)} rests"
     )
-
-
-def _resting(model: ObjectModel) -> NDArray:
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, np.array(model.rests[0].quat))
-    return model.vertices @ turn.reshape(3, 3).T
 
 
 def _picture(
