@@ -60,13 +60,10 @@ def run(cfg: DictConfig) -> float:
 
 
 def run_plainly(main: Callable[[], Any]) -> None:
-    """Run a Hydra application; a mistake the user can mend becomes one sentence on stderr.
+    """Run what `hydra.main` decorated; a mistake the user can mend becomes one sentence on stderr.
 
     With the environment variable HYDRA_FULL_ERROR=1, and for any other error, there is the
     traceback.
-
-    Args:
-        main: The function that `hydra.main` decorated.
 
     Raises:
         SystemExit: Code 1 after such a sentence, 130 after Ctrl-C.

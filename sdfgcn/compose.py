@@ -51,10 +51,6 @@ def register_search_path() -> None:
 def compose_config(overrides: Sequence[str] = (), name: str = "config") -> DictConfig:
     """Compose a config as the command line does; works inside a Hydra application as well.
 
-    Args:
-        overrides: As on the command line.
-        name: The file of `conf/` to begin with.
-
     Raises:
         HydraException: An override cannot be read, or names a key or an option that is not there.
     """

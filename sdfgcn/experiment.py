@@ -18,12 +18,7 @@ from sdfgcn.run_folder import RunFolder
 def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
     """Train if the model is to be trained, play the missing episodes, write the results of all.
 
-    Args:
-        config: The whole experiment.
-        folder: The run folder, held open.
-
-    Returns:
-        The content of `results.json`.
+    Returns the content of `results.json`.
 
     Raises:
         SdfgcnError: What it needs is not there: the objects, room for a layout.
@@ -50,10 +45,7 @@ def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
 def with_policy(config: Config, folder: RunFolder, logger: Logger) -> Config:
     """The config with the checkpoint that a Q-network is evaluated from; trained if there is none.
 
-    Args:
-        config: The whole experiment.
-        folder: The run folder, held open; a trained policy goes into its folder `policy`.
-        logger: Takes the training's figures.
+    A trained policy goes into the folder `policy` of the run folder.
 
     Raises:
         SdfgcnError: The checkpoint given is no policy; or see `sdfgcn.train.training.train`.

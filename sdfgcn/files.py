@@ -18,11 +18,10 @@ from sdfgcn.errors import SdfgcnError
 def replaced(path: Path) -> Iterator[Path]:
     """Give a temporary path that replaces `path` in one step when the block ends well.
 
+    The folder of `path` must exist.
+
     The temporary file has the suffix of `path`, so that libraries which take the format from the
     name pick the right one. It is removed if the block raises.
-
-    Args:
-        path: The file to write; its folder must exist.
 
     Yields:
         Where to write, in the same folder.
@@ -39,12 +38,7 @@ def replaced(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in one step: it appears whole or not at all.
-
-    Args:
-        path: The file; it is replaced if it exists.
-        text: Its content.
-    """
+    """Write a text file in one step: it appears whole or not at all."""
     with replaced(path) as part:
         part.write_text(text, encoding="utf-8")
 
@@ -62,12 +56,7 @@ class CsvTable:
     """A CSV file with a fixed header. Every row that was added is in the file at once."""
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
-        """Name the file; nothing is read or written yet.
-
-        Args:
-            path: The file.
-            columns: Its header.
-        """
+        """Name the file and its header; nothing is read or written yet."""
         self._path = path
         self._columns = tuple(columns)
         self._whole = False  # whether the file is known to end with a whole line

@@ -18,7 +18,7 @@ import importlib
 import pkgutil
 from collections.abc import Callable, Iterator, Mapping
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 from sdfgcn.config import (
     ComponentConfig,
@@ -37,39 +37,35 @@ from sdfgcn.config import (
 
 PLUGINS = "sdfgcn.components"  # the group of entry points
 
-T = TypeVar("T")
 
-
-class Registry(Mapping[str, T], Generic[T]):
+class Registry(Mapping[str, Any]):
     """Maps the options of one config group to what builds them, and to their config dataclasses.
 
     The modules that register components are imported when a component is first looked up.
     """
 
-    def __init__(self, group: str, path: str, modules: str, base: type[ComponentConfig]) -> None:
+    def __init__(self, path: str, modules: str, base: type[ComponentConfig]) -> None:
         """Make an empty registry.
 
         Args:
-            group: The config group, a folder of `conf/`.
-            path: Where the group stands in the config, such as "env.robot".
+            path: Where the config group stands in the config, such as "env.robot"; the last part is
+                its folder of `conf/`.
             modules: The modules that register components; "package.*" for all of a package.
             base: The config dataclass of a component without keys of its own.
         """
-        self.group = group
+        self.group = path.rpartition(".")[2]
         self.path = path
         self._modules = modules.split()
         self._base = base
-        self._builders: dict[str, T] = {}
+        self._builders: dict[str, Any] = {}
         self._configs: dict[str, type[ComponentConfig]] = {}
 
     def register(
         self, *names: str, config: type[ComponentConfig] | None = None
     ) -> Callable[[Any], Any]:
-        """Register what is decorated: a class or function that builds the component.
+        """Register the class or function that is decorated as what builds the options `names`.
 
-        Args:
-            names: The options of the group that it builds.
-            config: Their config dataclass; the group's own if None.
+        `config` is their config dataclass; the group's own if None.
 
         Raises:
             ValueError: Something else has registered that name.
@@ -85,7 +81,7 @@ class Registry(Mapping[str, T], Generic[T]):
 
         return decorate
 
-    def find(self, name: str) -> T:
+    def find(self, name: str) -> Any:
         """What builds the component.
 
         Raises:
@@ -103,7 +99,7 @@ class Registry(Mapping[str, T], Generic[T]):
         self._load()
         return lookup(self._configs, f"{self.path}.name", name)
 
-    def __getitem__(self, name: str) -> T:
+    def __getitem__(self, name: str) -> Any:
         self._load()
         return self._builders[name]
 
@@ -132,40 +128,21 @@ def plugins() -> tuple[EntryPoint, ...]:
     return tuple(entry_points(group=PLUGINS))
 
 
-MODELS: Registry[Any] = Registry("model", "model", "sdfgcn.models.* sdfgcn.agents.*", ModelConfig)
-WORLDS: Registry[Any] = Registry("world", "env.world", "sdfgcn.sim.world", WorldConfig)
-OBJECTS: Registry[Any] = Registry(
-    "objects", "env.objects", "sdfgcn.objects.sources.*", ObjectsConfig
+MODELS = Registry("model", "sdfgcn.models.* sdfgcn.agents.*", ModelConfig)
+WORLDS = Registry("env.world", "sdfgcn.sim.world", WorldConfig)
+OBJECTS = Registry("env.objects", "sdfgcn.objects.sources.*", ObjectsConfig)
+ROBOTS = Registry("env.robot", "sdfgcn.sim.robots.*", RobotConfig)
+SCENARIOS = Registry("env.scenario", "sdfgcn.sim.scenarios.*", ScenarioConfig)
+PERCEPTIONS = Registry("env.perception", "sdfgcn.perception.*", PerceptionConfig)
+ENCODERS = Registry("env.perception.encoder", "sdfgcn.perception.encoders.*", EncoderConfig)
+SEGMENTERS = Registry(
+    "env.perception.segmentation", "sdfgcn.perception.segmenters.*", SegmentationConfig
 )
-ROBOTS: Registry[Any] = Registry("robot", "env.robot", "sdfgcn.sim.robots.*", RobotConfig)
-SCENARIOS: Registry[Any] = Registry(
-    "scenario", "env.scenario", "sdfgcn.sim.scenarios.*", ScenarioConfig
-)
-PERCEPTIONS: Registry[Any] = Registry(
-    "perception", "env.perception", "sdfgcn.perception.*", PerceptionConfig
-)
-ENCODERS: Registry[Any] = Registry(
-    "encoder", "env.perception.encoder", "sdfgcn.perception.encoders.*", EncoderConfig
-)
-SEGMENTERS: Registry[Any] = Registry(
-    "segmentation",
-    "env.perception.segmentation",
-    "sdfgcn.perception.segmenters.*",
-    SegmentationConfig,
-)
-LOGGERS: Registry[Any] = Registry("logger", "logger", "sdfgcn.loggers.*", LoggerConfig)
-RECORDERS: Registry[Any] = Registry("viz", "viz", "sdfgcn.viz", VizConfig)
+LOGGERS = Registry("logger", "sdfgcn.loggers.*", LoggerConfig)
+RECORDERS = Registry("viz", "sdfgcn.viz", VizConfig)
 
 # In the order in which their configs nest: an outer one before those inside it.
-REGISTRIES: tuple[Registry[Any], ...] = (
-    MODELS,
-    WORLDS,
-    OBJECTS,
-    ROBOTS,
-    SCENARIOS,
-    PERCEPTIONS,
-    ENCODERS,
-    SEGMENTERS,
-    LOGGERS,
-    RECORDERS,
+REGISTRIES = (
+    *(MODELS, WORLDS, OBJECTS, ROBOTS, SCENARIOS),
+    *(PERCEPTIONS, ENCODERS, SEGMENTERS, LOGGERS, RECORDERS),
 )

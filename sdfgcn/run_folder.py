@@ -15,7 +15,6 @@ import traceback
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from filelock import FileLock, Timeout
@@ -71,12 +70,7 @@ class RunFolder:
             raise
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
         """Write the last state and let the folder go."""
         try:
             if error is None:
@@ -102,10 +96,7 @@ class RunFolder:
         return self._table.read()
 
     def keep(self, episodes: Iterable[EpisodeResult]) -> list[EpisodeResult]:
-        """Keep each episode as it comes, and return all that the folder holds.
-
-        Args:
-            episodes: The missing ones, in any order.
+        """Keep each episode as it comes, in any order, and return all that the folder holds.
 
         Returns:
             Every episode, sorted by index, as the rewritten `episodes.csv` has them.

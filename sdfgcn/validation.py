@@ -62,9 +62,7 @@ def _structured(root: type[T], values: dict[str, Any]) -> T:
     return config
 
 
-def _set_type(
-    schema: DictConfig, values: dict[str, Any], path: str, registry: Registry[Any]
-) -> None:
+def _set_type(schema: DictConfig, values: dict[str, Any], path: str, registry: Registry) -> None:
     """Give the component at `path`, if there is one, the type that its name stands for."""
     component: Any = values
     for key in path.split("."):

@@ -19,10 +19,6 @@ from sdfgcn.registry import MODELS
 def build_agent(config: Config, rng: np.random.Generator) -> EpsilonGreedy:
     """Build what picks the pushes: the agent that `config.model` names, as `config.eval` says.
 
-    Args:
-        config: The whole experiment.
-        rng: Where all is drawn from.
-
     Raises:
         SdfgcnError: There is no such model, or `config.checkpoint` names no weights of it.
     """

@@ -60,10 +60,7 @@ class EpsilonGreedy:
         self._tried: list[tuple[NDArray[np.float32], int]] = []  # in this episode
 
     def __call__(self, td: TensorDictBase) -> TensorDictBase:
-        """Pick a push.
-
-        Args:
-            td: One environment's observation, without batch dimension.
+        """Pick a push for one environment's observation, which has no batch dimension.
 
         Returns:
             The same TensorDict with `action` int64 [] and, where a Q-network is the agent,

@@ -31,12 +31,9 @@ RELEASED = Path(__file__).resolve().parents[1] / "weights"
 
 
 def save_policy(folder: Path, network: QNetwork, about: Mapping[str, Any]) -> None:
-    """Write a policy; `policy.json` comes last, so that a folder that has it is whole.
+    """Write a policy; `about` says how it was trained, as JSON knows it.
 
-    Args:
-        folder: Where; made if needed.
-        network: Its weights are written, and what it was built from.
-        about: How it was trained, as JSON knows it.
+    `policy.json` comes last, so that a folder that has it is whole.
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / ABOUT).unlink(missing_ok=True)
@@ -72,10 +69,7 @@ def find_policy(checkpoint: str | Path) -> Path:
 
 
 def load_network(checkpoint: str | Path) -> tuple[QNetwork, dict[str, Any]]:
-    """Build a trained network from its files.
-
-    Args:
-        checkpoint: As for `find_policy`.
+    """Build a trained network from its files; `checkpoint` is as for `find_policy`.
 
     Returns:
         The network, on the CPU, and the content of `policy.json`. They are shared by all callers.
@@ -84,7 +78,8 @@ def load_network(checkpoint: str | Path) -> tuple[QNetwork, dict[str, Any]]:
         SdfgcnError: There is no such policy, or its files are damaged.
     """
     folder = find_policy(checkpoint).resolve()
-    return _load(folder, (folder / WEIGHTS).stat().st_mtime_ns if _whole(folder) else 0)
+    weights = folder / WEIGHTS
+    return _load(folder, weights.stat().st_mtime_ns if weights.is_file() else 0)
 
 
 def load_policy(
@@ -127,10 +122,6 @@ def trained_agent(config: Config) -> QAgent:
             f"model.name is '{config.model.name}'."
         )
     return QAgent(network)
-
-
-def _whole(folder: Path) -> bool:
-    return (folder / WEIGHTS).is_file()
 
 
 @lru_cache(maxsize=4)

@@ -143,12 +143,7 @@ def _entries(value: Any) -> Iterator[Any]:
 
 
 def lookup(registry: Mapping[str, T], key: str, name: str) -> T:
-    """Return the entry `name` of a registry.
-
-    Args:
-        registry: Name -> entry.
-        key: The config key that holds `name`, for the message.
-        name: The entry asked for.
+    """Return the entry `name` of a registry; `key` is the config key that holds this name.
 
     Raises:
         SdfgcnError: There is no such entry.

@@ -18,10 +18,7 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 def differences(before: Mapping[str, Any], now: Mapping[str, Any], shown: int = 3) -> str:
     """Say in what two flat configs differ, for a sentence; empty if they do not.
 
-    Args:
-        before: The earlier one; a key that it lacks counts as None.
-        now: The present one; likewise.
-        shown: Keys to name; the rest are counted.
+    A key that one of them lacks counts as None. Keys beyond the first `shown` are only counted.
 
     Returns:
         For example "seed (0 there, 1 now), env.split (test there, train now) and 2 more".

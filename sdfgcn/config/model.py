@@ -27,8 +27,7 @@ class QNetworkConfig(ModelConfig):
     def check_network(self, image_size: int) -> None:
         """Check what a network of this config needs; a trained one is loaded knowing no more.
 
-        Args:
-            image_size: Height and width of the picture, pixels.
+        `image_size` is the height and width of the picture, pixels.
 
         Raises:
             SdfgcnError: One sentence that names the key, the value seen and what would work.

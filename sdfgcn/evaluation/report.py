@@ -85,11 +85,7 @@ def _said(row: Results, keys: Iterable[str]) -> str:
 
 
 def text(results: Results) -> str:
-    """Lay out the row of an evaluation above the paper's, aligned.
-
-    Args:
-        results: The content of `results.json`.
-    """
+    """Lay out the row of an evaluation (its `results.json`) above the paper's, aligned."""
     rows = [
         ["", "episodes", *(head for _, head, _ in _FIGURES)],
         [f"{results['model']} (this run)", str(results["episodes"]), *_figures(results)],
@@ -113,11 +109,7 @@ def text(results: Results) -> str:
 
 
 def markdown(rows: Sequence[Results]) -> str:
-    """Lay runs out as a Markdown table, beside the paper's figures where it has them.
-
-    Args:
-        rows: The content of each run's `results.json`.
-    """
+    """Lay runs (their `results.json`) out as a Markdown table, beside the paper's figures."""
     differing = [key for key in SHARED if len({row.get(key) for row in rows}) > 1]
     shared = [key for key in SHARED if key not in differing and rows[0].get(key) is not None]
     title = _said(rows[0], shared)

@@ -30,15 +30,10 @@ _ROOT = Path(__file__).resolve().parents[2]
 
 
 def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) -> dict[str, Any]:
-    """Summarise an evaluation: the content of `results.json`.
+    """Summarise an evaluation of at least one episode: the content of `results.json`.
 
     Pushes and error are means over the successful episodes alone, as in the paper. An interval is
     a 95% confidence interval: Wilson's for the success rate, Student's t for a mean.
-
-    Args:
-        config: The whole experiment.
-        episodes: Every episode of it; at least one.
-        wall_s: Wall seconds that the evaluation took.
 
     Returns:
         The figures by name; None where there is none, as for the error if nothing succeeded.

@@ -79,14 +79,7 @@ class OccupiedNodes:
     """
 
     def __init__(self, scene: Scene, goal: Scene, matched: Tensor, edges: str):
-        """Build the graphs.
-
-        Args:
-            scene: Current scenes [B].
-            goal: Their goals [B].
-            matched: bool [B, N] the rows in which both show the same object.
-            edges: A key of `EDGES`.
-        """
+        """Build the graphs of scenes [B] and goals [B]; `adjacency_matrix` explains the rest."""
         here, there = scene.node_mask, goal.node_mask
         mask = torch.cat([here, there], dim=-1)
         n_nodes = mask.sum(dim=-1)
@@ -104,15 +97,7 @@ class OccupiedNodes:
         self._here, self._there = here, there
 
     def gather(self, current: Tensor, goal: Tensor) -> Tensor:
-        """Take the occupied nodes' features out of the padded ones.
-
-        Args:
-            current: [B, N, ...] a feature of the current scene's rows.
-            goal: The same of the goal's.
-
-        Returns:
-            [M, ...], memory of its own.
-        """
+        """Copy the occupied nodes' features [M, ...] out of the padded ones [B, N, ...]."""
         rows = current.new_empty(len(self.is_goal), *current.shape[2:])
         rows[self.is_current] = current[self._here]
         rows[self.is_goal] = goal[self._there]

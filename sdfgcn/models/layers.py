@@ -41,9 +41,8 @@ class Propagation(nn.Module):
     def __init__(self, layer: Callable[..., nn.Module], propagation: str):
         """Make the weights.
 
-        Args:
-            layer: Makes a convolution or linear layer, called with `bias`.
-            propagation: A key of `PROPAGATIONS`; the module's docstring explains them.
+        `layer` makes a convolution or linear layer and takes `bias`; `propagation` is a key of
+        `PROPAGATIONS`, which the module's docstring explains.
         """
         super().__init__()
         self.weights = layer(bias=True)
@@ -75,13 +74,7 @@ class Propagation(nn.Module):
 def propagate(
     blocks: nn.ModuleList, propagations: nn.ModuleList, rows: Tensor, nodes: OccupiedNodes
 ) -> Tensor:
-    """Run the sets of block and propagation layer (paper Fig. 4).
-
-    Args:
-        blocks: Each is followed by the propagation layer of the same index.
-        propagations: As many.
-        rows: [M, ...] features of the occupied nodes.
-        nodes: The graphs that they belong to.
+    """Run the sets of block and propagation layer (paper Fig. 4) on node features [M, ...].
 
     Returns:
         [M_current, ...] features of the current scene's nodes.
@@ -132,12 +125,7 @@ def q_head(n_inputs: int, hidden: int, n_outputs: int) -> nn.Sequential:
 def check_widths(
     key: str, values: Sequence[Sequence[int]], blocks: Sequence[Sequence[object]]
 ) -> None:
-    """Check that there is a number for every entry of every block.
-
-    Args:
-        key: Where `values` stand in the config.
-        values: Block by block.
-        blocks: Their lengths are what those of `values` must be.
+    """Check that `values` have a number for every entry of every block, as `blocks` have.
 
     Raises:
         SdfgcnError: A number is missing or too many.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from omegaconf import MISSING
 from torch import Tensor
 
-from sdfgcn.config import QNetworkConfig, at_least, lookup, positive
+from sdfgcn.config import QNetworkConfig, at_least, lookup, one_of, positive
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.models.layers import check_widths
 
@@ -50,11 +50,7 @@ class ConvWidthConfig:
     hidden: int = at_least(1)
 
     def final_size(self, image_size: int) -> int:
-        """Height and width that the blocks leave of a picture, pixels.
-
-        Args:
-            image_size: Height and width of the picture, pixels.
-        """
+        """Height and width that the blocks leave of a picture of `image_size`, pixels."""
         for strides, pooling in zip(self.strides, self.pooling, strict=True):
             for stride in strides:
                 image_size = (image_size - 1) // stride + 1  # 3x3 convolutions, padded
@@ -73,7 +69,7 @@ class ConvConfig(QNetworkConfig):
         widths: The choices.
     """
 
-    features: str = MISSING
+    features: str = one_of(*PICTURES)
     sdf_unit: float = positive()
     width: str = MISSING
     widths: dict[str, ConvWidthConfig] = MISSING
@@ -81,7 +77,6 @@ class ConvConfig(QNetworkConfig):
     def check_network(self, image_size: int) -> None:
         """See `QNetworkConfig`."""
         super().check_network(image_size)
-        lookup(PICTURES, "model.features", self.features)
         width = lookup(self.widths, "model.width", self.width)
         key = f"model.widths.{self.width}"
         check_widths(f"{key}.channels", width.channels, width.channels)

@@ -8,10 +8,9 @@ from functools import partial
 from operator import attrgetter
 
 import torch
-from omegaconf import MISSING
 from torch import Tensor, nn
 
-from sdfgcn.config import QNetworkConfig, at_least, lookup, positive
+from sdfgcn.config import QNetworkConfig, at_least, one_of, positive
 from sdfgcn.models.graph import EDGES, OccupiedNodes
 from sdfgcn.models.layers import (
     PROPAGATIONS,
@@ -41,23 +40,18 @@ class PoseGcnConfig(QNetworkConfig):
         position_unit: The length that becomes 1, metres.
         channels: Units of each linear layer, one list for each block.
         hidden: Units between the two last linear layers.
-        edges: Between the nodes of one picture, a key of `EDGES`.
-        propagation: A key of `PROPAGATIONS`.
     """
 
-    features: str = MISSING
+    features: str = one_of(*POSITIONS)
     position_unit: float = positive()
     channels: list[list[int]] = at_least(1)
     hidden: int = at_least(1)
-    edges: str = MISSING
-    propagation: str = MISSING
+    edges: str = one_of(*EDGES)
+    propagation: str = one_of(*PROPAGATIONS)
 
     def check_network(self, image_size: int) -> None:
         """See `QNetworkConfig`."""
         super().check_network(image_size)
-        lookup(POSITIONS, "model.features", self.features)
-        lookup(EDGES, "model.edges", self.edges)
-        lookup(PROPAGATIONS, "model.propagation", self.propagation)
         check_widths("model.channels", self.channels, self.channels)
 
 
@@ -69,14 +63,7 @@ class PoseGcn(QNetwork):
     """
 
     def __init__(self, config: PoseGcnConfig, n_directions: int, max_objects: int, image_size: int):
-        """Make the layers.
-
-        Args:
-            config: Features, edges, propagation and widths.
-            n_directions: D.
-            max_objects: Not used: the weights are the same for every node.
-            image_size: Not used: there is no picture.
-        """
+        """Make the layers; see `QNetwork` for the arguments."""
         super().__init__(config, n_directions, max_objects, image_size)
         self._position = POSITIONS[config.features]
         self._edges = config.edges

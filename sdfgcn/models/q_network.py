@@ -74,11 +74,7 @@ def _flat(scenes: TensorDictBase, count: int) -> Scene:
 
 
 def spread_to_rows(values: Tensor, node_mask: Tensor) -> Tensor:
-    """Put the values of detected objects into their rows.
-
-    Args:
-        values: [M, D] of the M detected objects, in the order of `node_mask`.
-        node_mask: bool [B, N].
+    """Put the values [M, D] of detected objects into their rows, where `node_mask` [B, N] is true.
 
     Returns:
         float32 [B, N, D], zero for the other rows.

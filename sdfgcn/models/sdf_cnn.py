@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import ClassVar
 
 import torch
@@ -16,12 +15,7 @@ from sdfgcn.registry import MODELS
 from sdfgcn.task.scene import Scene
 
 
-@dataclass
-class SdfCnnConfig(ConvConfig):
-    """A Q-network over pictures without a graph (`conf/model/sdf_cnn.yaml`)."""
-
-
-@MODELS.register("sdf_cnn", config=SdfCnnConfig)
+@MODELS.register("sdf_cnn", config=ConvConfig)
 class SdfCnn(QNetwork):
     """Convolutions over 2N channels, then N * D values at once.
 
@@ -32,15 +26,8 @@ class SdfCnn(QNetwork):
 
     fixed_rows: ClassVar[bool] = True
 
-    def __init__(self, config: SdfCnnConfig, n_directions: int, max_objects: int, image_size: int):
-        """Make the layers.
-
-        Args:
-            config: Features and widths.
-            n_directions: D.
-            max_objects: N; observations of another number of rows are refused.
-            image_size: Height and width of the pictures, pixels.
-        """
+    def __init__(self, config: ConvConfig, n_directions: int, max_objects: int, image_size: int):
+        """Make the layers; see `QNetwork` for the arguments."""
         super().__init__(config, n_directions, max_objects, image_size)
         self._picture = PICTURES[config.features]
         self._unit = config.sdf_unit * image_size

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from functools import partial
 
 import torch
-from omegaconf import MISSING
 from torch import Tensor, nn
 
-from sdfgcn.config import lookup
+from sdfgcn.config import one_of
 from sdfgcn.models.graph import EDGES, OccupiedNodes
 from sdfgcn.models.layers import (
     PROPAGATIONS,
@@ -27,21 +26,10 @@ from sdfgcn.task.scene import Scene
 
 @dataclass
 class ConvGcnConfig(ConvConfig):
-    """A graph convolutional Q-network over pictures (`conf/model/sdfgcn.yaml` and ablations).
+    """A graph convolutional Q-network over pictures (`conf/model/sdfgcn.yaml` and ablations)."""
 
-    Attributes:
-        edges: Between the nodes of one picture, a key of `EDGES`.
-        propagation: A key of `PROPAGATIONS`.
-    """
-
-    edges: str = MISSING
-    propagation: str = MISSING
-
-    def check_network(self, image_size: int) -> None:
-        """See `QNetworkConfig`."""
-        super().check_network(image_size)
-        lookup(EDGES, "model.edges", self.edges)
-        lookup(PROPAGATIONS, "model.propagation", self.propagation)
+    edges: str = one_of(*EDGES)
+    propagation: str = one_of(*PROPAGATIONS)
 
 
 @MODELS.register("sdfgcn", "separate", "segmentation_gcn", config=ConvGcnConfig)
@@ -52,14 +40,7 @@ class SdfGcn(QNetwork):
     """
 
     def __init__(self, config: ConvGcnConfig, n_directions: int, max_objects: int, image_size: int):
-        """Make the layers.
-
-        Args:
-            config: Features, edges, propagation and widths.
-            n_directions: D.
-            max_objects: Not used: the weights are the same for every node.
-            image_size: Height and width of the pictures, pixels.
-        """
+        """Make the layers; see `QNetwork` for the arguments."""
         super().__init__(config, n_directions, max_objects, image_size)
         self._edges = config.edges
         self._picture = PICTURES[config.features]

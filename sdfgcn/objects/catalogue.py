@@ -25,14 +25,7 @@ log = logging.getLogger(__name__)
 
 
 def load_catalogue(cfg: ObjectsConfig, split: str) -> tuple[ObjectModel, ...]:
-    """Return the objects of one split, building the cache first if need be.
-
-    Args:
-        cfg: Source, limits and settings (`conf/objects/`).
-        split: "train" or "test".
-
-    Returns:
-        The object models, in a fixed order.
+    """Return the objects of one split in a fixed order, building the cache first if need be.
 
     Raises:
         SdfgcnError: An unknown source or split, a contradictory limit, a damaged or unwritable

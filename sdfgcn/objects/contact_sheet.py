@@ -15,6 +15,7 @@ from hydra.errors import HydraException
 from numpy.typing import NDArray
 from omegaconf.errors import OmegaConfBaseException
 from PIL import Image, ImageDraw
+from scipy.spatial.transform import Rotation
 from tqdm import tqdm
 
 from sdfgcn.compose import load_config
@@ -32,9 +33,7 @@ COLUMNS = 8
 def draw_sheet(cfg: ObjectsConfig, pieces: bool = False) -> Image.Image:
     """Draw all objects of both splits in their most probable resting pose.
 
-    Args:
-        cfg: The catalogue.
-        pieces: Draw the convex collision pieces, each in its own colour.
+    With `pieces` the convex collision pieces are drawn instead, each in its own colour.
 
     Returns:
         The sheet; below each object its name, category and split, size and mass.
@@ -51,17 +50,12 @@ def draw_sheet(cfg: ObjectsConfig, pieces: bool = False) -> Image.Image:
 
 
 def _caption(model: ObjectModel) -> str:
-    size = "x".join(f"{100 * side:.1f}" for side in np.ptp(_resting(model), axis=0))
+    resting = Rotation.from_quat(model.rests[0].quat, scalar_first=True).apply(model.vertices)
+    size = "x".join(f"{100 * side:.1f}" for side in np.ptp(resting, axis=0))
     return (
         f"{model.name}\n{model.category} ({model.split})\n"
         f"{size} cm, {1000 * model.mass:.0f} g, {len(model.rests)} rests"
     )
-
-
-def _resting(model: ObjectModel) -> NDArray:
-    turn = np.zeros(9)
-    mujoco.mju_quat2Mat(turn, np.array(model.rests[0].quat))
-    return model.vertices @ turn.reshape(3, 3).T
 
 
 def _picture(

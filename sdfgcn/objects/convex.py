@@ -32,17 +32,10 @@ def compound_volume_centroid(pieces: Sequence[NDArray]) -> tuple[float, NDArray]
 
 
 def hull_vertices(points: NDArray, limit: int) -> NDArray:
-    """Return a convex hull like that of `points`, but with at most `limit` vertices.
+    """Return a hull as large as that of `points` [P, 3], with at most `limit` (>= 8) vertices.
 
     Greedy: each step takes the vertex that stands out farthest from the hull so far. Leaving out
     vertices shrinks a round shape, so the result is scaled about its mean to the old volume.
-
-    Args:
-        points: [P, 3].
-        limit: Largest number of vertices to keep, at least 8.
-
-    Returns:
-        [<= limit, 3]: the vertices of a hull with the volume of that of `points`.
     """
     full = ConvexHull(points)
     vertices = points[full.vertices]
@@ -94,14 +87,9 @@ def merge_pieces(pieces: Sequence[NDArray], limit: int) -> list[NDArray]:
 
 
 def slice_into_hulls(vertices: NDArray, faces: NDArray, count: int) -> list[NDArray]:
-    """Cut a concave mesh by planes across its principal axes and take hulls of the parts.
+    """Cut a concave mesh, [V, 3] and [F, 3], across its principal axes and take the parts' hulls.
 
     Greedy: each step makes the one cut that lowers the sum of hull volumes most.
-
-    Args:
-        vertices: [V, 3].
-        faces: [F, 3].
-        count: Number of pieces wanted.
 
     Returns:
         At most `count` arrays of hull vertices [P, 3], which together cover the mesh.

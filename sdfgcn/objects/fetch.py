@@ -32,10 +32,7 @@ def scans_dir() -> Path:
 
 
 def fetch() -> Path:
-    """Download, check and unpack the scanned meshes unless they are there already.
-
-    Returns:
-        The folder that holds `object_sim` and `YCB_sim`.
+    """Return the folder of the scanned meshes; download, check and unpack them on first use.
 
     Raises:
         SdfgcnError: No network, a wheel with another checksum, or an unwritable cache.

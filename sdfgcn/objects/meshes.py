@@ -18,18 +18,14 @@ def weld(triangles: NDArray) -> tuple[NDArray, NDArray]:
 def decimate(
     vertices: NDArray, faces: NDArray, uv: NDArray | None, max_faces: int
 ) -> tuple[NDArray, NDArray, NDArray | None]:
-    """Reduce a mesh to at most `max_faces` by vertex clustering, finest grid that fits.
+    """Reduce a mesh ([V, 3], [F, 3], uv [V, 2] or None) to at most `max_faces` faces.
+
+    The vertices are clustered by the finest grid that leaves so few.
 
     Vertices merge when they share a grid cell and roughly a normal, so the two sides of a thin
     wall stay apart. Each cluster's vertex goes where the squared distance to the planes of its
     faces is least (quadric error, Lindstrom 2000), so edges and corners stay sharp. At a texture
     seam the charts share the position and keep their own uv, so no crack opens.
-
-    Args:
-        vertices: [V, 3].
-        faces: [F, 3].
-        uv: [V, 2] or None.
-        max_faces: Upper limit.
 
     Returns:
         vertices, faces and uv of the reduced mesh; the input itself if it is small enough.

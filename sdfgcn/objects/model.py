@@ -5,14 +5,13 @@ from __future__ import annotations
 import functools
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
-
-from sdfgcn.config import ObjectsConfig
+from scipy.spatial.transform import Rotation
 
 
 @dataclass(frozen=True)
@@ -91,6 +90,18 @@ class Shape:
     texture: NDArray[np.uint8] | None = None
     footprint: float | None = None
 
+    def mapped(self, change: Callable[[NDArray], NDArray]) -> Shape:
+        """The shape with all its points [P, 3] changed by an affine map."""
+        return replace(self, vertices=change(self.vertices), pieces=tuple(map(change, self.pieces)))
+
+    def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Shape:
+        """The shape shifted by metres."""
+        return self.mapped(lambda points: points + np.array([x, y, z]))
+
+    def turned(self, axis: str, degrees: float) -> Shape:
+        """The shape turned about a coordinate axis through the origin."""
+        return self.mapped(Rotation.from_euler(axis, degrees, degrees=True).apply)
+
 
 @dataclass(frozen=True)
 class Recipe:
@@ -100,10 +111,6 @@ class Recipe:
     category: str
     split: str
     build: Callable[[], Shape]
-
-
-def _no_fingerprint(cfg: ObjectsConfig) -> str:
-    return ""
 
 
 @dataclass(frozen=True)
@@ -117,7 +124,7 @@ class Source:
     """
 
     recipes: Callable[[Any], list[Recipe]]  # takes the source's own subclass of ObjectsConfig
-    fingerprint: Callable[[Any], str] = _no_fingerprint
+    fingerprint: Callable[[Any], str] = field(default=lambda cfg: "")
     lenient: bool = False
 
 

@@ -18,24 +18,17 @@ from sdfgcn.objects.resting import Pose, find_rests, tipping_angle, to_rest
 
 
 def prepare(recipe: Recipe, cfg: ObjectsConfig) -> ObjectModel:
-    """Build one catalogue entry.
-
-    Args:
-        recipe: Name, category, split and how to build the shape.
-        cfg: Limits on footprint, height, thickness, mass and detail.
-
-    Returns:
-        The scaled object with its resting poses.
+    """Build one catalogue entry: the scaled object with its resting poses.
 
     Raises:
         SdfgcnError: The object never comes to rest, or a collision piece of it is flat.
     """
     try:
-        shape = _centred(_reduced(recipe.build(), cfg))
+        shape = _reduced(recipe.build(), cfg)
     except QhullError as error:
         raise SdfgcnError(f"The object {recipe.name} has a convex piece without volume.") from error
     first = _first_scale(shape, cfg)
-    shape = _scaled(shape, first)
+    shape = shape.mapped(lambda points: points * first)
     for _ in range(3):
         poses = _poses(shape, cfg, name_generator(recipe.name))
         if not poses:
@@ -48,31 +41,18 @@ def prepare(recipe: Recipe, cfg: ObjectsConfig) -> ObjectModel:
         if thin.top * scale >= cfg.thickness_min:
             break
         shape = _thickened(shape, thin.down, 1.02 * cfg.thickness_min / (thin.top * scale))
-    return _model(recipe, _scaled(shape, scale), _within_limits(poses, scale, cfg), scale, cfg)
+    shape = shape.mapped(lambda points: points * scale)
+    return _model(recipe, shape, _within_limits(poses, scale, cfg), scale, cfg)
 
 
 def _reduced(shape: Shape, cfg: ObjectsConfig) -> Shape:
+    """The shape about its centroid, with no more faces, pieces and vertices than allowed."""
     pieces = merge_pieces(shape.pieces, cfg.max_pieces)
     vertices, faces, uv = decimate(shape.vertices, shape.faces, shape.uv, cfg.max_faces)
     pieces = [hull_vertices(piece, cfg.max_piece_vertices) for piece in pieces]
-    return replace(shape, vertices=vertices, faces=faces, uv=uv, pieces=tuple(pieces))
-
-
-def _centred(shape: Shape) -> Shape:
-    _, centroid = compound_volume_centroid(shape.pieces)
-    return replace(
-        shape,
-        vertices=shape.vertices - centroid,
-        pieces=tuple(piece - centroid for piece in shape.pieces),
-    )
-
-
-def _scaled(shape: Shape, scale: float) -> Shape:
-    return replace(
-        shape,
-        vertices=shape.vertices * scale,
-        pieces=tuple(piece * scale for piece in shape.pieces),
-    )
+    _, centroid = compound_volume_centroid(pieces)
+    shape = replace(shape, vertices=vertices, faces=faces, uv=uv, pieces=tuple(pieces))
+    return shape.mapped(lambda points: points - centroid)
 
 
 def _thickened(shape: Shape, direction: NDArray, factor: float) -> Shape:
@@ -81,11 +61,7 @@ def _thickened(shape: Shape, direction: NDArray, factor: float) -> Shape:
     An affine map keeps convex pieces convex and the centroid at the origin.
     """
     stretch = np.eye(3) + (factor - 1.0) * np.outer(direction, direction)
-    return replace(
-        shape,
-        vertices=shape.vertices @ stretch,
-        pieces=tuple(piece @ stretch for piece in shape.pieces),
-    )
+    return shape.mapped(lambda points: points @ stretch)
 
 
 def _first_scale(shape: Shape, cfg: ObjectsConfig) -> float:

@@ -4,52 +4,30 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
-from scipy.spatial.transform import Rotation
 
 from sdfgcn.objects.meshes import mesh_volume
+from sdfgcn.objects.model import Shape
 
 Profile = Sequence[tuple[float, float]]  # (radius, z) from bottom to top, metres
 ROUND = 32  # corners of a circle in a visual mesh
 SECTORS = 10  # convex sectors around a hollow wall
 
 
-@dataclass(frozen=True)
-class Part:
-    """A mesh (vertices [V, 3], faces [F, 3]) and convex pieces [P, 3] of the same solid."""
-
-    vertices: NDArray
-    faces: NDArray
-    pieces: tuple[NDArray, ...]
-
-    def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Part:
-        """Return the part shifted by metres."""
-        shift = np.array([x, y, z])
-        pieces = tuple(piece + shift for piece in self.pieces)
-        return Part(self.vertices + shift, self.faces, pieces)
-
-    def turned(self, axis: str, degrees: float) -> Part:
-        """Return the part turned about a coordinate axis through the origin."""
-        turn = Rotation.from_euler(axis, degrees, degrees=True)
-        pieces = tuple(turn.apply(piece) for piece in self.pieces)
-        return Part(turn.apply(self.vertices), self.faces, pieces)
-
-
-def join(*parts: Part) -> Part:
+def join(*parts: Shape) -> Shape:
     """Return one part made of several, which may overlap."""
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
-    return Part(
+    return Shape(
         np.concatenate([part.vertices for part in parts]),
         np.concatenate([part.faces + off for part, off in zip(parts, offsets, strict=True)]),
         tuple(piece for part in parts for piece in part.pieces),
     )
 
 
-def convex(points: NDArray) -> Part:
+def convex(points: NDArray) -> Shape:
     """Return the convex hull of `points` [P, 3] as mesh and single piece."""
     hull = ConvexHull(points)
     number = np.full(len(points), -1)
@@ -60,15 +38,15 @@ def convex(points: NDArray) -> Part:
     )
     inward = np.einsum("ij,ij->i", normals, hull.equations[:, :3]) < 0
     faces[inward] = faces[inward][:, ::-1]
-    return Part(vertices, faces, (vertices,))
+    return Shape(vertices, faces, (vertices,))
 
 
-def box(x: float, y: float, z: float) -> Part:
+def box(x: float, y: float, z: float) -> Shape:
     """Return a box of the given sides (m), centred in x and y, its bottom at z = 0."""
     return prism([(-x / 2, -y / 2), (x / 2, -y / 2), (x / 2, y / 2), (-x / 2, y / 2)], z)
 
 
-def prism(outline: Sequence[tuple[float, float]] | NDArray, z: float) -> Part:
+def prism(outline: Sequence[tuple[float, float]] | NDArray, z: float) -> Shape:
     """Return a convex outline (x, y) extruded from 0 to `z` metres."""
     flat = np.asarray(outline, float)
     levels = [np.column_stack([flat, np.full(len(flat), level)]) for level in (0.0, z)]
@@ -81,7 +59,7 @@ def circle(radius: float, corners: int, squash: float = 1.0) -> NDArray:
     return np.column_stack([radius * np.cos(angle), radius * squash * np.sin(angle)])
 
 
-def ellipsoid(x: float, y: float, z: float) -> Part:
+def ellipsoid(x: float, y: float, z: float) -> Shape:
     """Return an ellipsoid with half axes in metres, centred at the origin."""
     rings = [
         np.column_stack([circle(np.cos(tilt), 12), np.full(12, np.sin(tilt))])
@@ -91,7 +69,7 @@ def ellipsoid(x: float, y: float, z: float) -> Part:
     return convex(np.concatenate([*rings, poles]) * [x, y, z])
 
 
-def turned_solid(profile: Profile) -> Part:
+def turned_solid(profile: Profile) -> Shape:
     """Return a solid turned on a lathe: `profile` revolved about z, one piece per convex run."""
     outline = [(0.0, profile[0][1]), *profile, (0.0, profile[-1][1])]
     pieces = tuple(
@@ -101,7 +79,7 @@ def turned_solid(profile: Profile) -> Part:
     return _revolved(outline, pieces)
 
 
-def turned_vessel(profile: Profile, wall: float, base: float) -> Part:
+def turned_vessel(profile: Profile, wall: float, base: float) -> Shape:
     """Return a hollow vessel turned on a lathe, open at the top.
 
     Args:
@@ -135,7 +113,7 @@ def turned_vessel(profile: Profile, wall: float, base: float) -> Part:
     return _revolved(outline, (*walls, disc))
 
 
-def rod(path: NDArray, radius: float, squash: float = 1.0) -> Part:
+def rod(path: NDArray, radius: float, squash: float = 1.0) -> Shape:
     """Return a bar of round (or squashed) cross-section along a path of points.
 
     Args:
@@ -149,7 +127,8 @@ def rod(path: NDArray, radius: float, squash: float = 1.0) -> Part:
     if closed:
         tangents[0] = tangents[-1] = path[1] - path[-2]
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    normal = _plane_normal(path)
+    across = np.linalg.svd(path - path.mean(axis=0))[2][2]
+    normal = across / np.linalg.norm(across)  # of the path's plane; of a straight path, any
     side = np.cross(tangents, normal)
     flat = circle(radius, 8, squash)
     rings = path[:, None] + flat[:, :1] * normal + flat[:, 1:] * side[:, None]
@@ -160,12 +139,6 @@ def arc_path(radius: float, start: float, end: float, stretches: int) -> NDArray
     """Return points of a circle's arc in the x-z plane, angles in degrees, [stretches + 1, 3]."""
     angle = np.deg2rad(np.linspace(start, end, stretches + 1))
     return np.column_stack([radius * np.cos(angle), np.zeros_like(angle), radius * np.sin(angle)])
-
-
-def _plane_normal(path: NDArray) -> NDArray:
-    """The unit normal of a flat path's plane; for a straight path, any unit vector across it."""
-    across = np.linalg.svd(path - path.mean(axis=0))[2][2]
-    return across / np.linalg.norm(across)
 
 
 def _arc(radius: float, z: float, angles: NDArray) -> NDArray:
@@ -186,7 +159,7 @@ def _convex_runs(profile: list[tuple[float, float]]) -> list[list[tuple[float, f
     return runs
 
 
-def _revolved(outline: Profile, pieces: tuple[NDArray, ...]) -> Part:
+def _revolved(outline: Profile, pieces: tuple[NDArray, ...]) -> Shape:
     """Revolve an outline that starts and ends on the axis into a closed mesh."""
     angles = np.linspace(0, 2 * np.pi, ROUND, endpoint=False)
     rings = [_arc(r, z, angles if r > 0 else angles[:1]) for r, z in outline]
@@ -203,4 +176,4 @@ def _revolved(outline: Profile, pieces: tuple[NDArray, ...]) -> Part:
     vertices, triangles = np.concatenate(rings), np.concatenate(faces)
     if mesh_volume(vertices, triangles) < 0:
         triangles = triangles[:, ::-1]
-    return Part(vertices, triangles, pieces)
+    return Shape(vertices, triangles, pieces)

@@ -43,21 +43,18 @@ def find_rests(
 ) -> list[tuple[Rotation, float]]:
     """Drop a body from random orientations and group where it comes to rest.
 
+    `pieces` are convex, each [P, 3] in metres, about their common centroid.
+
     Drops that still move after `settle_seconds` are left out, and so are poses rarer than
     `settle_min_probability`. A family of poses that look alike (a cylinder on its side at any roll
     angle) counts as one pose, because each of its members alone would be too rare to keep.
-
-    Args:
-        pieces: Convex pieces about their common centroid, each [P, 3], metres.
-        cfg: The catalogue's settings.
-        rng: Draws the orientations.
 
     Returns:
         (orientation at yaw zero, probability), most probable first; empty if nothing came to rest.
     """
     model = _drop_model(pieces, cfg)
     points = np.concatenate(pieces)
-    drops = [_drop(model, points, rotation, cfg) for rotation in _orientations(cfg, rng)]
+    drops = [_drop(model, points, Rotation.random(rng=rng), cfg) for _ in range(cfg.settle_drops)]
     settled = [rotation for rotation in drops if rotation is not None]
     return _group(settled, points, cfg.settle_min_probability) if settled else []
 
@@ -79,10 +76,6 @@ def tipping_angle(points: NDArray) -> float:
     except QhullError:
         return 0.0
     return float(np.degrees(np.arctan2(max(0.0, -edges[:, -1].max()), -bottom)))
-
-
-def _orientations(cfg: ObjectsConfig, rng: np.random.Generator) -> list[Rotation]:
-    return [Rotation.random(rng=rng) for _ in range(cfg.settle_drops)]
 
 
 def _drop_model(pieces: Sequence[NDArray], cfg: ObjectsConfig) -> mujoco.MjModel:

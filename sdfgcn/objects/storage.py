@@ -59,12 +59,7 @@ def new_folder(target: Path) -> Iterator[Path]:
 
 
 def write_models(target: Path, models: list[ObjectModel]) -> None:
-    """Write a catalogue so that it exists whole or not at all.
-
-    Args:
-        target: The folder to make.
-        models: All entries of both splits.
-    """
+    """Write a catalogue, both splits, so that the folder exists whole or not at all."""
     with new_folder(target) as scratch:
         entries = []
         for model in models:

@@ -22,12 +22,7 @@ class Perception(abc.ABC):
     rows_are_slots = False  # whether row i is by construction the episode's object i
 
     def __init__(self, config: PerceptionConfig, max_objects: int):
-        """Load what it takes.
-
-        Args:
-            config: Its settings.
-            max_objects: The most rows it may return.
-        """
+        """Load what it takes; `max_objects` is the most rows it may return."""
         self.config = config
         self.max_objects = max_objects
 

@@ -45,13 +45,9 @@ class Matcher:
         self._remembered = functools.lru_cache(maxsize=KEPT_FEATURES)(self._encode)
 
     def features(self, pixels: NDArray[np.uint8], masks: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """What each masked object looks like; of either picture.
+        """What each of the [m, H, W] masked objects of a picture [H, W, 3] looks like.
 
         An object that looks as it did before is not encoded again.
-
-        Args:
-            pixels: [H, W, 3] the RGB picture.
-            masks: [m, H, W].
 
         Returns:
             [m, F]; zero for a mask without pixels.
@@ -62,11 +58,9 @@ class Matcher:
     def match(
         self, features: NDArray[np.float32], goal_features: NDArray[np.float32]
     ) -> NDArray[np.int64]:
-        """Assign goal objects to current ones by least total L2 distance (Hungarian algorithm).
+        """Assign goal objects [n, F] to current ones [m, F] by least total L2 distance.
 
-        Args:
-            features: [m, F] of the current picture.
-            goal_features: [n, F] of the goal picture.
+        The assignment is found by the Hungarian algorithm.
 
         Returns:
             [m] for each current object the goal's row, none twice; -1 for none. The smaller of

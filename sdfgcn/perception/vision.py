@@ -62,9 +62,7 @@ class VisionPerception(Perception):
 def rows_of(matches: NDArray[np.int64], n: int) -> NDArray[np.int64]:
     """The row of each detection: its match, or the first that is left over.
 
-    Args:
-        matches: [m] for each detection the goal's row, none twice; -1 for none.
-        n: Number of goal rows.
+    `matches` [m] are rows of the n of the goal, none twice; -1 for none.
 
     Returns:
         [m] rows, none twice, below the larger of m and n.

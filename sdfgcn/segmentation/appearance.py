@@ -53,12 +53,7 @@ class Appearance:
             self._model.geom_rgba[geom, :3] = 1.0 if textured else colour
 
     def draw(self, rng: np.random.Generator, geoms: NDArray[np.int64]) -> None:
-        """Draw light, camera, table colour and the props' colours.
-
-        Args:
-            rng: Source of randomness.
-            geoms: [n] the visual geoms of the props on the table.
-        """
+        """Draw light, camera, table colour and the colours of props by their [n] visual geoms."""
         self.reset()
         model, arrangements = self._model, self._arrangements
         place = [
@@ -154,16 +149,13 @@ def paint(
     labels: NDArray[np.uint8],
     chance: float,
 ) -> NDArray[np.uint8]:
-    """Paint patterns on some objects and on the table, keeping the shading below them.
+    """Paint patterns on some objects and the table of a picture, keeping the shading below them.
 
     Args:
         rng: Source of randomness.
         pixels: [H, W, 3] the picture.
         labels: [H, W] 0 for the table, 1 to n for objects.
         chance: Probability of a pattern, for each of them.
-
-    Returns:
-        [H, W, 3] the painted picture.
     """
     painted = pixels.astype(np.float32)
     for label in np.unique(labels):

@@ -18,7 +18,7 @@ from shapely.affinity import translate
 from sdfgcn.config import ArrangementsConfig, EnvConfig
 from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.segmentation.appearance import Appearance, paint
-from sdfgcn.sim.episode import EpisodeSpec
+from sdfgcn.sim.episode import EpisodeSpec, draw_rest, turned
 from sdfgcn.sim.placement import footprint
 from sdfgcn.sim.world import MujocoWorld
 from sdfgcn.task.region import Region
@@ -33,13 +33,7 @@ class ArrangementWorld:
     def __init__(
         self, env: EnvConfig, catalogue: Sequence[ObjectModel], arrangements: ArrangementsConfig
     ) -> None:
-        """Compile the world.
-
-        Args:
-            env: Arena, robot and physics.
-            catalogue: The objects; training objects, for a segmenter.
-            arrangements: What to draw.
-        """
+        """Compile a world of all objects of the catalogue: training objects, for a segmenter."""
         self._arrangements, self._palette = arrangements, env.objects.palette
         physics = replace(env.physics, settle_seconds=arrangements.settle_seconds)
         self._world = MujocoWorld(replace(env, physics=physics), catalogue)
@@ -88,8 +82,8 @@ class ArrangementWorld:
         kept: list[int] = []
         for index in rng.choice(len(self._world.catalogue), size=n, replace=False):
             model = self._world.catalogue[index]
-            rest = _draw_rest(rng, model)
-            quat = _turned(rng, rest)
+            rest = draw_rest(rng, model)
+            (quat,) = turned(rng, [rest])
             if stacked and poses and rng.random() < 0.5:
                 poses.append(self._above(rng, rest, poses))
                 kept.append(index)
@@ -140,14 +134,3 @@ def _slide(rng: np.random.Generator, shape: Polygon, other: Polygon) -> NDArray[
         if translate(shape, *point).distance(other) > 0.0:
             return point
     return center + 0.3 * away
-
-
-def _draw_rest(rng: np.random.Generator, model: ObjectModel) -> Rest:
-    share = np.array([rest.probability for rest in model.rests])
-    return model.rests[rng.choice(len(model.rests), p=share / share.sum())]
-
-
-def _turned(rng: np.random.Generator, rest: Rest) -> NDArray[np.float64]:
-    """[4] the resting orientation (w, x, y, z), turned by a random yaw."""
-    turn = Rotation.from_euler("z", rng.uniform(0.0, 2.0 * np.pi))
-    return (turn * Rotation.from_quat(rest.quat, scalar_first=True)).as_quat(scalar_first=True)

@@ -14,12 +14,7 @@ FLIP, TURN, COLOUR, NOISE, BLUR = 0.5, 0.25, 0.5, 0.25, 0.08  # the chance of ea
 def augmented(
     rng: np.random.Generator, pixels: NDArray[np.uint8], labels: NDArray[np.uint8]
 ) -> tuple[Tensor, Tensor]:
-    """Flip, turn, recolour, blur and add noise, each by chance.
-
-    Args:
-        rng: Source of randomness.
-        pixels: [B, H, W, 3] RGB; square pictures.
-        labels: [B, H, W].
+    """Flip, turn, recolour, blur and add noise to square pictures [B, H, W, 3], each by chance.
 
     Returns:
         [B, 3, H, W] float32, 0 to 1, and [B, H, W] int64.

@@ -125,11 +125,7 @@ def _render_all(
 
 
 def render_shard(config: SegmentationTrainingConfig, folder: Path, shard: Shard) -> int:
-    """Render one shard and write its file in one step.
-
-    Returns:
-        The number of its pictures.
-    """
+    """Render one shard, write its file in one step and return the number of its pictures."""
     objects = config.catalogues[shard.catalogue]
     env = replace(config.env, objects=objects)
     order = sorted(config.catalogues).index(shard.catalogue)

@@ -68,12 +68,7 @@ def views(
 
 
 def shifted_look(physics: mjcf.Physics, rng: np.random.Generator) -> None:
-    """Draw another light and another table colour; for `views`.
-
-    Args:
-        physics: The compiled world, changed in place.
-        rng: Source of randomness.
-    """
+    """Draw another light and another table colour; for `views`."""
     model = physics.model
     lamp, table = model.name2id("lamp", "light"), model.name2id("table", "geom")
     place = np.array([*rng.uniform(-0.8, 0.8, 2), rng.uniform(1.0, 2.0)])
@@ -99,14 +94,11 @@ def score(
 
 def summary(scores: Sequence[MaskScores]) -> dict[str, float]:
     """Means over pictures, as shares from 0 to 1."""
-    return {
-        "overlap_f": _mean(s.overlap.f for s in scores),
-        "overlap_precision": _mean(s.overlap.precision for s in scores),
-        "overlap_recall": _mean(s.overlap.recall for s in scores),
-        "boundary_f": _mean(s.boundary.f for s in scores),
-        "count_right": _mean(s.found == s.true for s in scores),
+    figures = {
+        "overlap_f": [s.overlap.f for s in scores],
+        "overlap_precision": [s.overlap.precision for s in scores],
+        "overlap_recall": [s.overlap.recall for s in scores],
+        "boundary_f": [s.boundary.f for s in scores],
+        "count_right": [s.found == s.true for s in scores],
     }
-
-
-def _mean(values: Iterable[float]) -> float:
-    return float(np.mean(list(values)))
+    return {name: float(np.mean(values)) for name, values in figures.items()}

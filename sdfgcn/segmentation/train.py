@@ -25,9 +25,6 @@ from sdfgcn.validation import typed_segmentation_training
 def load_config(*overrides: str) -> SegmentationTrainingConfig:
     """The config of a training, checked.
 
-    Args:
-        overrides: As on the command line.
-
     Raises:
         SdfgcnError: A value is out of its range.
         HydraException: An override cannot be read, or names a key or an option that is not there.

@@ -56,14 +56,7 @@ SCORES = ("overlap_f", "overlap_precision", "overlap_recall", "boundary_f", "cou
 
 
 def train(config: SegmentationTrainingConfig, folder: Path) -> Path:
-    """Train the network, or go on with the training that the folder holds.
-
-    Args:
-        config: Scenes, network and optimiser.
-        folder: Where checkpoint, metrics and weights go.
-
-    Returns:
-        The file of the weights.
+    """Train the network or go on with the folder's training; return the file of the weights.
 
     Raises:
         SdfgcnError: The folder is in use, or its checkpoint is damaged or of another training.

@@ -41,11 +41,6 @@ class EpisodeSpec:
 def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig) -> EpisodeSpec:
     """Draw an episode from its seed alone.
 
-    Args:
-        seed: Source of all its randomness.
-        catalogue: The objects to draw from.
-        config: `n_objects`, the scenario, the spawn region and the palette.
-
     Raises:
         SdfgcnError: The scenario cannot be had with these objects, or nothing fitted.
     """
@@ -64,9 +59,9 @@ def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig)
         )
     for _ in range(MAX_DRAWS):
         chosen = _choose(rng, catalogue, n, scenario)
-        rests = [_choose_rest(rng, catalogue[i]) for i in chosen]
-        start = _turned(rng, rests)
-        goal = start if scenario.same_yaw else _turned(rng, rests)
+        rests = [draw_rest(rng, catalogue[i]) for i in chosen]
+        start = turned(rng, rests)
+        goal = start if scenario.same_yaw else turned(rng, rests)
         models = [catalogue[i] for i in chosen]
         situation = Situation(
             start=tuple(map(footprint, [m.hull for m in models], start)),
@@ -113,12 +108,13 @@ def _choose(
     return np.array(picked)
 
 
-def _choose_rest(rng: np.random.Generator, model: ObjectModel) -> Rest:
+def draw_rest(rng: np.random.Generator, model: ObjectModel) -> Rest:
+    """One of the object's resting poses, by their probabilities."""
     share = np.array([rest.probability for rest in model.rests])
     return model.rests[rng.choice(len(model.rests), p=share / share.sum())]
 
 
-def _turned(rng: np.random.Generator, rests: Sequence[Rest]) -> NDArray:
+def turned(rng: np.random.Generator, rests: Sequence[Rest]) -> NDArray:
     """[n, 4] the rests' orientations (w, x, y, z), each turned by a random yaw."""
     turns = Rotation.from_euler("z", rng.uniform(0.0, 2.0 * np.pi, size=(len(rests), 1)))
     tilts = Rotation.from_quat([rest.quat for rest in rests], scalar_first=True)

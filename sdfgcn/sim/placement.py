@@ -45,14 +45,9 @@ class Spacing:
 
 
 def footprint(vertices: NDArray, quat: NDArray) -> Polygon:
-    """What an object covers of the table, seen from above, with its origin at (0, 0).
+    """The convex hull of what an object covers of the table, its origin at (0, 0).
 
-    Args:
-        vertices: [V, 3] in the object's frame, metres.
-        quat: [4] its orientation (w, x, y, z).
-
-    Returns:
-        The convex hull of its outline.
+    Its `vertices` [V, 3] are in its own frame, metres; `quat` is its orientation (w, x, y, z).
     """
     turned = Rotation.from_quat(quat, scalar_first=True).apply(vertices)
     # One line through all the points: quicker to make than the points, and its hull is theirs.

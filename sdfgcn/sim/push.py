@@ -22,13 +22,7 @@ class PushPrimitive:
     """Runs one push in the simulation."""
 
     def __init__(self, config: PushConfig, arena: ArenaConfig, robot: Robot):
-        """Prepare the primitive.
-
-        Args:
-            config: Lengths in metres, speeds in metres per second.
-            arena: Its `reach_x` and `reach_y` bound the tool.
-            robot: The robot that executes it, already compiled.
-        """
+        """Prepare the primitive for a compiled robot; the arena's `reach` bounds the tool."""
         self._config = config
         self._reach = Region.reach(arena)
         self._robot = robot

@@ -36,11 +36,7 @@ class MujocoWorld:
     """
 
     def __init__(self, config: EnvConfig, catalogue: Sequence[ObjectModel] | None = None) -> None:
-        """Compile the world.
-
-        Args:
-            config: Arena, objects, robot, push, physics and scenario.
-            catalogue: The objects; those that the config names if None.
+        """Compile the world, of the objects that the config names if no catalogue is given.
 
         Raises:
             SdfgcnError: The catalogue cannot be had.

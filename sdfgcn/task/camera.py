@@ -37,10 +37,7 @@ class CameraModel:
         return 0.5 * self.size / float(np.tan(0.5 * self.fovy))
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
-        """World points to the picture.
-
-        Args:
-            points: [..., 3] world points, metres.
+        """World points [..., 3] in metres to the picture.
 
         Returns:
             [..., 2] column u and row v, pixels; not clipped to the picture. A point that is not
@@ -49,10 +46,7 @@ class CameraModel:
         return self.project_scaled(points)[0]
 
     def project_scaled(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """World points to the picture, and how large the picture shows things there.
-
-        Args:
-            points: [..., 3] world points, metres.
+        """World points [..., 3] in metres to the picture, and how large it shows things there.
 
         Returns:
             [..., 2] as `project`, and [...] pixels per metre across the line of sight.

@@ -55,12 +55,7 @@ class PushSpace:
     """
 
     def __init__(self, config: PushConfig, arena: ArenaConfig) -> None:
-        """Prepare what is the same for every picture.
-
-        Args:
-            config: `directions`, and `clearance`, `search_step` and `plane_height` in metres.
-            arena: The camera; `reach_x` and `reach_y` bound the start.
-        """
+        """Prepare what is the same for every picture."""
         n = config.directions
         self.n_directions = n
         self.angles = np.array([2.0 * np.pi * k / n for k in range(n)])
@@ -99,14 +94,7 @@ class PushSpace:
         return values.unflatten(-1, (-1, self.n_directions))
 
     def nearest(self, offset: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Rank the directions by their angle to an offset, nearest first.
-
-        Args:
-            offset: [2] metres, world x and y.
-
-        Returns:
-            [D] directions.
-        """
+        """Rank the directions [D] by their angle to an offset [2] on the table, nearest first."""
         turn = 2 * np.pi / self.n_directions
         angle = np.arctan2(offset[1], offset[0])
         gap = (np.arange(self.n_directions) * turn - angle + np.pi) % (2 * np.pi) - np.pi
@@ -141,9 +129,7 @@ class PushSpace:
     def plan(self, masks: NDArray[np.bool_], sdfs: NDArray[np.float32]) -> PushPlan:
         """Find where the push of every object in every direction starts.
 
-        Args:
-            masks: [m, H, W], none empty.
-            sdfs: [m, H, W] their signed distance fields, pixels.
+        The [m, H, W] masks are not empty; `sdfs` are their signed distance fields, pixels.
         """
         m = len(masks)
         if m == 0:

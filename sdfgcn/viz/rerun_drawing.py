@@ -96,26 +96,16 @@ def arrow_3d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows3D:
     )
 
 
-def mesh(model: ObjectModel, color: ColorLike) -> rr.Mesh3D:
-    """An object's mesh in one colour."""
+def mesh(model: ObjectModel, color: ColorLike, skin: bool = False) -> rr.Mesh3D:
+    """An object's mesh in one colour; with `skin`, in its texture if it has one."""
+    textured = skin and model.texture is not None and model.uv is not None
     return rr.Mesh3D(
         vertex_positions=model.vertices,
         triangle_indices=model.faces,
         vertex_normals=vertex_normals(model.vertices, model.faces),
-        albedo_factor=color,
-    )
-
-
-def skinned_mesh(model: ObjectModel, color: ColorLike) -> rr.Mesh3D:
-    """An object's mesh with its texture; in one colour where it has none."""
-    if model.texture is None or model.uv is None:
-        return mesh(model, color)
-    return rr.Mesh3D(
-        vertex_positions=model.vertices,
-        triangle_indices=model.faces,
-        vertex_normals=vertex_normals(model.vertices, model.faces),
-        vertex_texcoords=model.uv,
-        albedo_texture=model.texture,
+        vertex_texcoords=model.uv if textured else None,
+        albedo_texture=model.texture if textured else None,
+        albedo_factor=None if textured else color,
     )
 
 

@@ -51,7 +51,6 @@ from sdfgcn.viz.rerun_drawing import (
     png,
     region,
     sdf_image,
-    skinned_mesh,
     slot_color,
     table,
     transform,
@@ -72,11 +71,9 @@ class RerunRecorder(Recorder):
     """
 
     def __init__(self, path: Path, env: EnvConfig) -> None:
-        """Prepare a recording; nothing is written before `start`.
+        """Prepare a recording to `path`, an .rrd file whose folder is created.
 
-        Args:
-            path: The .rrd file to write; its folder is created.
-            env: The environment's config, for the regions and the threshold of success.
+        Nothing is written before `start`. Regions and threshold of success are those of `env`.
         """
         self._path = Path(path)
         self._partial = self._path.with_name(self._path.name + ".partial")
@@ -196,7 +193,7 @@ class RerunRecorder(Recorder):
             return
         for slot, model in enumerate(truth.objects):
             color = np.round(255 * truth.colors[slot]).astype(np.uint8)
-            self._log(f"world/objects/{slot}", skinned_mesh(model, color), static=True)
+            self._log(f"world/objects/{slot}", mesh(model, color, skin=True), static=True)
             ghost = mesh(model, (*slot_color(slot), GOAL_ALPHA))
             pose = transform(truth.goal_poses[slot])
             self._log(f"world/goal/{slot}", ghost, pose, static=True)

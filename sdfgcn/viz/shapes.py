@@ -16,10 +16,7 @@ _FAR = 1e6  # a cost that loses against any real one
 
 
 def zero_contour(sdf: NDArray[np.floating]) -> list[NDArray[np.float64]]:
-    """Where a signed distance field crosses zero.
-
-    Args:
-        sdf: [H, W] signed distances, sampled at pixel centres.
+    """Where a signed distance field [H, W], sampled at pixel centres, crosses zero.
 
     Returns:
         Polylines [P, 2] of column u and row v in the pixel coordinates of `CameraModel`.
@@ -35,15 +32,7 @@ def zero_contour(sdf: NDArray[np.floating]) -> list[NDArray[np.float64]]:
 def vertex_normals(
     vertices: NDArray[np.floating], faces: NDArray[np.integer]
 ) -> NDArray[np.float32]:
-    """Normals for smooth shading, each face weighted by its area.
-
-    Args:
-        vertices: [V, 3].
-        faces: [F, 3], counter-clockwise from outside.
-
-    Returns:
-        [V, 3] unit vectors; zero for a vertex of no face.
-    """
+    """[V, 3] unit normals for smooth shading of a mesh, each face weighted by its area."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     of_faces = np.cross(b - a, c - a)
     sums = np.zeros_like(vertices, dtype=np.float64)

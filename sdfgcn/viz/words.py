@@ -60,9 +60,7 @@ def summary(episode: EpisodeStart, last: StepRecord | None, total_reward: float)
 def q_table(names: list[str], step: StepRecord) -> str:
     """The Q-values that a push was picked by, as Markdown.
 
-    Args:
-        names: What each row of the scene before the push is called.
-        step: The push, with `q_values`; they are of the scene before it.
+    `names` are those of the rows of the scene before the push; so are the push's `q_values`.
 
     Returns:
         A table of objects and directions: the pushed one in bold, what was not legal in brackets.

@@ -26,10 +26,7 @@ class Encoder(nn.Module, ABC):
     """
 
     def __init__(self, stages: Sequence[int]) -> None:
-        """Set which stages are read.
-
-        Args:
-            stages: Their numbers, from 1 to `n_stages`.
+        """Set which stages are read, by their numbers from 1 to `n_stages`.
 
         Raises:
             SdfgcnError: There is no such stage, or none is asked for.

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import pickle
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
-from torch import Tensor, nn
+from torch import Tensor, nn, relu_
 
 from sdfgcn.config import EncoderConfig, one_of
 from sdfgcn.errors import SdfgcnError
@@ -27,62 +28,39 @@ _UNREADABLE = (
 )
 
 
-class BasicBlock(nn.Module):
-    """Two 3x3 convolutions and a shortcut."""
+class Block(nn.Module):
+    """Convolutions and a shortcut, which is projected where the shapes differ."""
 
-    expansion = 1
-
-    def __init__(self, inputs: int, width: int, stride: int) -> None:
+    def __init__(self, inputs: int, width: int, outputs: int, stride: int, kernels: Sequence[int]):
+        """Make the layers; the first 3x3 convolution strides, as in torchvision."""
         super().__init__()
-        self.conv1 = nn.Conv2d(inputs, width, 3, stride, padding=1, bias=False)
-        self.bn1 = nn.BatchNorm2d(width)
-        self.relu = nn.ReLU(inplace=True)
-        self.conv2 = nn.Conv2d(width, width, 3, padding=1, bias=False)
-        self.bn2 = nn.BatchNorm2d(width)
-        self.downsample = _shortcut(inputs, width, stride)
+        self._depth, channels = len(kernels), inputs
+        strides = [stride if k == kernels.index(3) else 1 for k in range(len(kernels))]
+        for k, (kernel, step) in enumerate(zip(kernels, strides, strict=True), start=1):
+            after = outputs if k == len(kernels) else width
+            conv = nn.Conv2d(channels, after, kernel, step, padding=kernel // 2, bias=False)
+            self.add_module(f"conv{k}", conv)
+            self.add_module(f"bn{k}", nn.BatchNorm2d(after))
+            channels = after
+        self.downsample: nn.Module = nn.Identity()
+        if stride != 1 or inputs != outputs:
+            conv = nn.Conv2d(inputs, outputs, 1, stride, bias=False)
+            self.downsample = nn.Sequential(conv, nn.BatchNorm2d(outputs))
 
     def forward(self, x: Tensor) -> Tensor:
-        """[B, inputs, h, w] -> [B, width, h / stride, w / stride]."""
-        y = self.bn2(self.conv2(self.relu(self.bn1(self.conv1(x)))))
-        return self.relu(y + (x if self.downsample is None else self.downsample(x)))
+        """[B, inputs, h, w] -> [B, outputs, h / stride, w / stride]."""
+        y = x
+        for k in range(1, self._depth + 1):
+            y = self.get_submodule(f"bn{k}")(self.get_submodule(f"conv{k}")(y))
+            y = relu_(y) if k < self._depth else y
+        return relu_(y + self.downsample(x))
 
 
-class Bottleneck(nn.Module):
-    """1x1, 3x3 and 1x1 convolutions and a shortcut; the 3x3 one strides, as in torchvision."""
-
-    expansion = 4
-
-    def __init__(self, inputs: int, width: int, stride: int) -> None:
-        super().__init__()
-        outputs = self.expansion * width
-        self.conv1 = nn.Conv2d(inputs, width, 1, bias=False)
-        self.bn1 = nn.BatchNorm2d(width)
-        self.conv2 = nn.Conv2d(width, width, 3, stride, padding=1, bias=False)
-        self.bn2 = nn.BatchNorm2d(width)
-        self.conv3 = nn.Conv2d(width, outputs, 1, bias=False)
-        self.bn3 = nn.BatchNorm2d(outputs)
-        self.relu = nn.ReLU(inplace=True)
-        self.downsample = _shortcut(inputs, outputs, stride)
-
-    def forward(self, x: Tensor) -> Tensor:
-        """[B, inputs, h, w] -> [B, 4 * width, h / stride, w / stride]."""
-        y = self.relu(self.bn2(self.conv2(self.relu(self.bn1(self.conv1(x))))))
-        y = self.bn3(self.conv3(y))
-        return self.relu(y + (x if self.downsample is None else self.downsample(x)))
-
-
-def _shortcut(inputs: int, outputs: int, stride: int) -> nn.Sequential | None:
-    """The projection of a shortcut; None where the shapes agree."""
-    if stride == 1 and inputs == outputs:
-        return None
-    conv = nn.Conv2d(inputs, outputs, 1, stride, bias=False)
-    return nn.Sequential(conv, nn.BatchNorm2d(outputs))
-
-
-# Kind of block, and blocks in each of the four stages, by depth (He et al. 2016, table 1).
-DEPTHS: dict[int, tuple[type[BasicBlock] | type[Bottleneck], tuple[int, int, int, int]]] = {
-    18: (BasicBlock, (2, 2, 2, 2)),
-    50: (Bottleneck, (3, 4, 6, 3)),
+# Kernels of a block, how many times its width comes out, and blocks in each of the four stages,
+# by depth (He et al. 2016, table 1).
+DEPTHS: dict[int, tuple[tuple[int, ...], int, tuple[int, int, int, int]]] = {
+    18: ((3, 3), 1, (2, 2, 2, 2)),
+    50: ((1, 3, 1), 4, (3, 4, 6, 3)),
 }
 
 
@@ -92,7 +70,7 @@ class TorchvisionResNet(nn.Module):
     def __init__(self, depth: int) -> None:
         """Build it with random weights; `depth` is a key of `DEPTHS`."""
         super().__init__()
-        block, counts = DEPTHS[depth]
+        kernels, expansion, counts = DEPTHS[depth]
         self.conv1 = nn.Conv2d(3, _WIDTHS[0], 7, stride=2, padding=3, bias=False)
         self.bn1 = nn.BatchNorm2d(_WIDTHS[0])
         self.relu = nn.ReLU(inplace=True)
@@ -101,8 +79,9 @@ class TorchvisionResNet(nn.Module):
         for number, (width, count) in enumerate(zip(_WIDTHS, counts, strict=True), start=1):
             blocks = []
             for i in range(count):
-                blocks.append(block(inputs, width, stride=2 if i == 0 and number > 1 else 1))
-                inputs = block.expansion * width
+                stride = 2 if i == 0 and number > 1 else 1
+                blocks.append(Block(inputs, width, expansion * width, stride, kernels))
+                inputs = expansion * width
             self.add_module(f"layer{number}", nn.Sequential(*blocks))
         self.fc = nn.Linear(inputs, 1000)
 

@@ -4,12 +4,3 @@ A segmenter is made from its config and called with a picture [H, W, 3] uint8; i
 masks [m, H, W] bool without the background, in any order, m = 0 included. The same picture gives
 the same masks.
 """
-
-from __future__ import annotations
-
-from collections.abc import Callable
-
-import numpy as np
-from numpy.typing import NDArray
-
-Segmenter = Callable[[NDArray[np.uint8]], NDArray[np.bool_]]

@@ -17,14 +17,10 @@ _NEIGHBOURS = np.ones((3, 3), dtype=bool)  # diagonal pixels touch: thin objects
 
 
 def cluster(points: NDArray[np.float32], config: UCNConfig) -> NDArray[np.int64]:
-    """Cluster unit vectors by mean shift with the cosine distance (1 - cos) / 2.
+    """Cluster unit vectors [P, D] by mean shift with the cosine distance (1 - cos) / 2.
 
     Most pixels show the table and are embedded nearly alike; they take part as one point that
     weighs as much as all of them. That saves most of the time.
-
-    Args:
-        points: [P, D] of length 1.
-        config: Seeds, kernel and distances.
 
     Returns:
         [P] labels; 0 is the largest cluster.
@@ -46,14 +42,10 @@ def cluster(points: NDArray[np.float32], config: UCNConfig) -> NDArray[np.int64]
 
 
 def masks_of(labels: NDArray[np.int64], config: UCNConfig) -> NDArray[np.bool_]:
-    """Turn clusters into masks: one for each part of each cluster but the background.
+    """Turn clusters [H, W] into masks: one for each part of each cluster but the background, 0.
 
     Two objects apart that the network embeds alike are two masks all the same, while the parts of
     a thin one that the picture shows broken stay together.
-
-    Args:
-        labels: [H, W] clusters; 0 is the background.
-        config: Least size of a mask, and which holes are filled.
 
     Returns:
         [m, H, W] disjoint masks, the largest first; m may be 0.

@@ -25,10 +25,8 @@ class UCN(nn.Module):
     def __init__(self, channels: int, widths: Sequence[int], embedding: int) -> None:
         """Make the layers.
 
-        Args:
-            channels: Channels at the picture's own resolution.
-            widths: Channels at a half of it, a quarter, and so on.
-            embedding: D, dimensions of an embedding.
+        `channels` are those at the picture's own resolution, `widths` those at a half of it, a
+        quarter and so on.
 
         Raises:
             SdfgcnError: A width does not divide into the groups of normalisation.

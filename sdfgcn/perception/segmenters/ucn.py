@@ -35,13 +35,7 @@ class UCNSegmenter:
         self._network = network or load_network(config)
 
     def __call__(self, pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Find the objects.
-
-        Args:
-            pixels: [H, W, 3] RGB.
-
-        Returns:
-            [m, H, W] disjoint masks, the largest first; m may be 0.
+        """Find the objects of an RGB picture [H, W, 3]: [m, H, W] disjoint masks, largest first.
 
         Raises:
             SdfgcnError: The network cannot take pictures of this size.

@@ -28,6 +28,8 @@ class GripperConfig(RobotConfig):
 class FloatingGripper(Robot):
     """A 2F-85 on three slides and a vertical hinge with stiff position drives."""
 
+    teleports = True  # where it touches nothing, simulating its way would only cost time
+
     def _build(self, config: GripperConfig) -> None:
         self._config = config
         self._root = mjcf.RootElement(model="gripper")
@@ -57,21 +59,7 @@ class FloatingGripper(Robot):
             for joint, kp in zip(self._joints, stiffness, strict=True)
         ]
 
-    def drives(self) -> tuple[list[mjcf.Element], list[mjcf.Element]]:
-        """The three slides and the hinge, and their actuators."""
-        return self._joints, self._actuators
-
     def solve(self, pose: NDArray, near: NDArray | None = None) -> NDArray:
         """Joint positions are the pose itself; everything is within reach."""
         del near
         return np.asarray(pose, dtype=np.float64)
-
-    @property
-    def home(self) -> NDArray:
-        """[4] x, y, z in metres, yaw in radians."""
-        return np.array(self._config.home)
-
-    @property
-    def teleports(self) -> bool:
-        """It does: where it touches nothing, simulating its way would only cost time."""
-        return True

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import abc
 import functools
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -30,16 +31,20 @@ class Unreachable(Exception):  # noqa: N818 - an outcome of planning, not a fail
 class Robot(composer.Entity, abc.ABC):
     """A position-driven robot that carries a closed Robotiq 2F-85."""
 
+    teleports = False  # whether it is put where it comes down, if its way there is free
     _config: RobotConfig
+    _root: mjcf.RootElement
+    _joints: Sequence[mjcf.Element]
+    _actuators: Sequence[mjcf.Element]
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
         """The robot's MJCF tree."""
         return self._root
 
-    @abc.abstractmethod
-    def drives(self) -> tuple[list[mjcf.Element], list[mjcf.Element]]:
+    def drives(self) -> tuple[Sequence[mjcf.Element], Sequence[mjcf.Element]]:
         """The joints that move the tool and their actuators, in the same order."""
+        return self._joints, self._actuators
 
     @abc.abstractmethod
     def solve(self, pose: NDArray, near: NDArray | None = None) -> NDArray:
@@ -57,14 +62,9 @@ class Robot(composer.Entity, abc.ABC):
         """
 
     @property
-    @abc.abstractmethod
     def home(self) -> NDArray:
         """Joint positions, one per drive, at which the robot waits out of the props' way."""
-
-    @property
-    @abc.abstractmethod
-    def teleports(self) -> bool:
-        """Whether it is put where it comes down, instead of driven, if its way there is free."""
+        return np.array(self._config.home)
 
     @property
     def lead(self) -> float:
@@ -199,9 +199,5 @@ def _close(gripper: mjcf.RootElement) -> mjcf.Physics:
 
 @functools.cache
 def closed_fingers() -> NDArray:
-    """Finger joint positions of the closed gripper, found by closing it once.
-
-    Returns:
-        [8] joint positions, radians, in the gripper's joint order.
-    """
+    """[8] finger joint positions (radians) of the closed gripper, found by closing it once."""
     return _close(load_gripper()).data.qpos.copy()

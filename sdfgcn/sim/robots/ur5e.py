@@ -40,30 +40,16 @@ class UR5e(Robot):
     def _build(self, config: UR5eConfig) -> None:
         self._config = config
         self._root = _load_arm(config)
-        self._joints = self._root.find_all("joint")
+        self._joints = self._root.find_all("joint")  # base to wrist
         self._actuators = self._root.find_all("actuator")
         prepare(self._root)
         self.gripper = load_gripper()
         self._root.find("site", "attachment_site").attach(self.gripper)
         self._kinematics = _Kinematics(config)
 
-    def drives(self) -> tuple[list[mjcf.Element], list[mjcf.Element]]:
-        """The six joints, base to wrist, and their actuators."""
-        return self._joints, self._actuators
-
     def solve(self, pose: NDArray, near: NDArray | None = None) -> NDArray:
         """Joint positions by damped least squares (dm_control), checked for self-collision."""
         return self._kinematics.solve(np.asarray(pose, dtype=np.float64), near)
-
-    @property
-    def home(self) -> NDArray:
-        """[6] joint positions, radians."""
-        return np.array(self._config.home)
-
-    @property
-    def teleports(self) -> bool:
-        """It does not."""
-        return False
 
 
 class _Kinematics:
