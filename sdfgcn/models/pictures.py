@@ -26,7 +26,7 @@ def object_mask(sdf: Tensor, unit: float) -> Tensor:
     return sdf.lt_(0.0)
 
 
-# Named functions: actors in other processes get a network by pickling it.
+# Named functions: collectors in other processes get a network by pickling it.
 PICTURES: dict[str, Callable[[Tensor, float], Tensor]] = {
     "sdf": scaled_sdf,
     "mask": object_mask,
