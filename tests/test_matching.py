@@ -358,7 +358,6 @@ def test_resnet_needs_its_file(resnet, tmp_path, weights):
     ("changes", "message"),
     [
         ({"name": "vit"}, r"env\.perception\.encoder\.name is 'vit', but must be one of efficient"),
-        ({"name": "resnet", "depth": 34}, r"encoder\.depth is 34, but must be one of 18, 50"),
         ({"stages": [2, 8]}, r"encoder\.stages is \[2, 8\], but must list numbers between 1 and 7"),
         ({"stages": []}, r"encoder\.stages is \[\]"),
     ],
@@ -380,6 +379,11 @@ def test_what_an_encoder_cannot_be(changes, message):
 def test_numbers_out_of_range(override, message):
     with pytest.raises(SdfgcnError, match=message):
         real_config(f"env.perception.encoder.{override}")
+
+
+def test_a_depth_that_resnet_does_not_have():
+    with pytest.raises(SdfgcnError, match=r"encoder\.depth is 34, but must be one of 18, 50"):
+        real_config("encoder=resnet", "env.perception.encoder.depth=34")
 
 
 def test_the_tilt_is_the_cameras():

@@ -94,7 +94,7 @@ def score(
 
 def summary(scores: Sequence[MaskScores]) -> dict[str, float]:
     """Means over pictures, as shares from 0 to 1."""
-    figures = {
+    figures: dict[str, list[float]] = {
         "overlap_f": [s.overlap.f for s in scores],
         "overlap_precision": [s.overlap.precision for s in scores],
         "overlap_recall": [s.overlap.recall for s in scores],
