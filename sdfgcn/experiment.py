@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from contextlib import closing
 from dataclasses import asdict, replace
 from typing import Any
@@ -50,7 +49,7 @@ def with_policy(config: Config, folder: RunFolder, logger: Logger) -> Config:
     Raises:
         SdfgcnError: The checkpoint given is no policy; or see `sdfgcn.train.training.train`.
     """
-    from sdfgcn.agents.policy import RELEASED, find_policy  # loads torch
+    from sdfgcn.agents.policy import ABOUT, RELEASED, find_policy, read_about  # loads torch
 
     if config.checkpoint is not None:
         found = find_policy(config.checkpoint)
@@ -58,9 +57,8 @@ def with_policy(config: Config, folder: RunFolder, logger: Logger) -> Config:
             return config
         return replace(config, checkpoint=str(found))
     policy = folder.path / "policy"
-    about = policy / "policy.json"
     budget = asdict(config.budget)
-    if not about.exists() or json.loads(about.read_text(encoding="utf-8"))["budget"] != budget:
+    if not (policy / ABOUT).exists() or read_about(policy)["budget"] != budget:
         from sdfgcn.train.training import train_policy
 
         with closing(HeldOutEvaluation(config)) as held_out:

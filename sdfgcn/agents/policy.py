@@ -68,6 +68,11 @@ def find_policy(checkpoint: str | Path) -> Path:
     )
 
 
+def read_about(folder: Path) -> dict[str, Any]:
+    """The content of `policy.json` in a policy's folder."""
+    return json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+
+
 def load_network(checkpoint: str | Path) -> tuple[QNetwork, dict[str, Any]]:
     """Build a trained network from its files; `checkpoint` is as for `find_policy`.
 
@@ -127,7 +132,7 @@ def trained_agent(config: Config) -> QAgent:
 @lru_cache(maxsize=4)
 def _load(folder: Path, written: int) -> tuple[QNetwork, dict[str, Any]]:
     try:
-        about = json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+        about = read_about(folder)
         schema = OmegaConf.structured(MODELS.config_type(about["model"]["name"]))
         model = OmegaConf.to_object(OmegaConf.merge(schema, about["model"]))
         assert isinstance(model, QNetworkConfig)

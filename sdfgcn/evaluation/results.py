@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import platform
 import subprocess
 from collections.abc import Sequence
@@ -74,10 +73,9 @@ def _network(config: Config) -> dict[str, Any]:
     """The model, and how its network had been trained, as far as its policy says so."""
     about: dict[str, Any] = {}
     if config.checkpoint is not None and isinstance(config.model, QNetworkConfig):
-        from sdfgcn.agents.policy import ABOUT, find_policy  # loads torch
+        from sdfgcn.agents.policy import find_policy, read_about  # loads torch
 
-        file = find_policy(config.checkpoint) / ABOUT
-        about = json.loads(file.read_text(encoding="utf-8"))
+        about = read_about(find_policy(config.checkpoint))
     training = about.get("training", {})
     return {
         "model": about.get("model", {}).get("name", config.model.name),
