@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, closing
 from functools import cache
@@ -9,7 +10,11 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-import sdfgcn  # noqa: F401 - sets MUJOCO_GL, which MuJoCo reads when it loads
+# Tests run side by side, a process for each core: more threads than that wait for each other.
+for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(threads, "1")
+
+import sdfgcn  # noqa: E402, F401 - sets MUJOCO_GL, which MuJoCo reads when it loads
 
 if TYPE_CHECKING:
     from sdfgcn.envs.rearrangement import RearrangementEnv
