@@ -174,7 +174,7 @@ def _hint(asked: str) -> str:
     if not close:
         return "`--cfg job` prints all keys."
     depth = min(key.count(".") for key in meant[close[0]])
-    nearest = [key for key in meant[close[0]] if key.count(".") == depth]
+    nearest = sorted(key for key in meant[close[0]] if key.count(".") == depth)
     return f"did you mean {' or '.join(nearest)}?"
 
 

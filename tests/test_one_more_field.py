@@ -18,11 +18,10 @@ from toys import TOYS, toy_env
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.loggers.files import NoLogger
 from sdfgcn.task.scene import Scene, scene_field
-from sdfgcn.train.held_out import HeldOutCurve
 from sdfgcn.train.hindsight import relabelled
 from sdfgcn.train.mirror import mirrored
 from sdfgcn.train.replay import Replay
-from sdfgcn.train.training import Trainer
+from sdfgcn.train.training import build_trainer
 
 CONFIG = (
     *("objects=household", "robot=gripper", "model=sdfgcn", "n_objects=2", "train.env.split=test"),
@@ -114,8 +113,7 @@ def test_a_training_goes_on_with_it(tmp_path: Path) -> None:
         """The transitions at the start and at the end."""
         config = real_config(*CONFIG, "her=future", f"budget.pushes={pushes}")
         logger = NoLogger(config.logger, tmp_path)
-        curve = HeldOutCurve(tmp_path, logger, None, None)
-        trainer = Trainer(config, tmp_path, logger, small_network, lambda _: None, curve)
+        trainer = build_trainer(config, tmp_path, logger, small_network, lambda _: None, None)
         buffer = trainer._replay.buffer
         with closing(trainer), torch.random.fork_rng():
             start = buffer.storage.get(slice(0, len(buffer))) if len(buffer) else TensorDict()

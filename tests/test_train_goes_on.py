@@ -19,9 +19,10 @@ from toys import TOYS
 from sdfgcn.config import Config
 from sdfgcn.loggers.files import CsvLogger, NoLogger
 from sdfgcn.models.q_network import QNetwork
-from sdfgcn.train.held_out import FIGURES, HeldOutCurve
+from sdfgcn.train.held_out import FIGURES
 from sdfgcn.train.learner import Learner
-from sdfgcn.train.training import BuildNetwork, Trainer, q_network, train
+from sdfgcn.train.trainer import Trainer
+from sdfgcn.train.training import BuildNetwork, build_trainer, q_network, train
 
 SMALL = (
     *("objects=household", "robot=gripper", "model=sdfgcn", "n_objects=2", "train.env.split=test"),
@@ -49,9 +50,8 @@ def weights_of(folder: Path, pushes: int, *overrides: str, **options: object) ->
 
 def trainer_of(config: Config, folder: Path, build: BuildNetwork = small_network) -> Trainer:
     logger = NoLogger(config.logger, folder)
-    curve = HeldOutCurve(folder, logger, None, None)
     torch.manual_seed(config.seed)
-    return Trainer(config, folder, logger, build, lambda network: None, curve)
+    return build_trainer(config, folder, logger, build, lambda network: None, None)
 
 
 def same(there: Weights, here: Weights) -> bool:
@@ -197,12 +197,12 @@ def test_trains_with_16_directions(tmp_path: Path) -> None:
         *("train.epsilon_start=1.0", "train.epsilon_end=1.0", "budget.pushes=25"),
     )
     trainer = trainer_of(config, tmp_path, q_network)
-    before = {key: value.clone() for key, value in trainer.network.state_dict().items()}
+    before = {key: value.clone() for key, value in trainer._learner.network.state_dict().items()}
     with closing(trainer):
         trainer.run()
         batch = trainer._replay.sample()
     assert trainer._learner.updates == 10
-    assert not same(before, trainer.network.state_dict())
+    assert not same(before, trainer._learner.network.state_dict())
     taken = trainer._replay.buffer[:]["action"] % 16
     assert len(set(taken.tolist())) > 8
     assert batch["action_mask"].shape == (8, 2 * 16)

@@ -1,31 +1,27 @@
-"""The training loop: push, remember, learn, tell, evaluate, and keep a checkpoint."""
+"""From a config to a trained network: what a training is made of, and what it belongs to."""
 
 from __future__ import annotations
 
-import json
 import logging
-import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import torch
-from tensordict import TensorDictBase
 
 from sdfgcn.agents.policy import save_policy
 from sdfgcn.config import Config, EnvConfig
 from sdfgcn.config.diff import differences, flat
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.files import write_json
 from sdfgcn.loggers import Logger
 from sdfgcn.models import build_q_network, q_networks
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.task.push_space import PushSpace
-from sdfgcn.train.checkpoint import NAME, checkpoint_config, load_checkpoint, save_checkpoint
+from sdfgcn.train.checkpoint import NAME, checkpoint_config, load_checkpoint
 from sdfgcn.train.collectors import CollectorSpec, build_collector
 from sdfgcn.train.curriculum import Curriculum, ObjectCountSampler
 from sdfgcn.train.exploration import EpsilonGreedyPolicy
@@ -34,6 +30,7 @@ from sdfgcn.train.hindsight import Hindsight
 from sdfgcn.train.learner import Learner
 from sdfgcn.train.progress import Progress
 from sdfgcn.train.replay import Replay
+from sdfgcn.train.trainer import Trainer, TrainingState
 
 # Builds a network from the whole config and the number of rows that it is trained with.
 BuildNetwork = Callable[[Config, int], QNetwork]
@@ -83,9 +80,8 @@ def train(
         torch.set_num_threads(config.runtime.torch_threads)
         torch.manual_seed(config.seed)
         try:
-            curve = HeldOutCurve(folder, logger, config.train.eval_pushes, evaluate)
             with closing(
-                Trainer(config, folder, logger, build_network, keep_network, curve)
+                build_trainer(config, folder, logger, build_network, keep_network, evaluate)
             ) as trainer:
                 trainer.run()
                 return trainer.averaged
@@ -130,154 +126,50 @@ def q_network(config: Config, rows: int) -> QNetwork:
     )
 
 
-class Trainer:
-    """Everything that one training holds, and its loop."""
-
-    def __init__(
-        self,
-        config: Config,
-        folder: Path,
-        logger: Logger,
-        build_network: BuildNetwork,
-        keep_network: KeepNetwork,
-        curve: HeldOutCurve,
-    ) -> None:
-        """Build all parts, and load the checkpoint if there is one; see `train`."""
-        self._config, self._folder = config, folder
-        self._keep_network = keep_network
-        counts = ObjectCountSampler(config.curriculum, config.n_objects)
-        env = training_env(config, counts)
-        actions = PushSpace(env.push, env.arena).spec(env.max_objects)
-        self.network = build_network(config, env.max_objects)
-        self._learner = Learner(self.network, actions, config.train, config.runtime.device)
-        self._policy = EpsilonGreedyPolicy(
-            self.network, actions, config.train, config.budget.epsilon_pushes
+def build_trainer(
+    config: Config,
+    folder: Path,
+    logger: Logger,
+    build_network: BuildNetwork,
+    keep_network: KeepNetwork,
+    evaluate: Evaluate | None,
+) -> Trainer:
+    """Put the parts of a training together, as the folder's checkpoint left them; see `train`."""
+    counts = ObjectCountSampler(config.curriculum, config.n_objects)
+    env = training_env(config, counts)
+    actions = PushSpace(env.push, env.arena).spec(env.max_objects)
+    network = build_network(config, env.max_objects)
+    state = TrainingState(
+        Learner(network, actions, config.train, config.runtime.device),
+        EpsilonGreedyPolicy(network, actions, config.train, config.budget.epsilon_pushes),
+        Replay(config),
+        Hindsight(config.her, env),
+        Curriculum(config.curriculum, counts),
+        Progress(folder, logger, config.train.log_pushes),
+    )
+    collector_state = _restored(state, folder / NAME, config)
+    curve = HeldOutCurve(folder, logger, config.train.eval_pushes, evaluate)
+    curve.go_on_from(state.progress.pushes)
+    with torch.random.fork_rng():  # else a training that goes on would draw other numbers
+        pushes = state.progress.pushes
+        collector = build_collector(
+            CollectorSpec(config, env, counts, state.policy.module, pushes, collector_state)
         )
-        self._replay = Replay(config)
-        self._hindsight = Hindsight(config.her, env)
-        self._curriculum = Curriculum(config.curriculum, counts)
-        self._progress = Progress(folder, logger, config.train.log_pushes)
-        self._curve = curve
-        self._collector_state: dict[str, Any] = {}
-        self._load()
-        with torch.random.fork_rng():  # else a training that goes on would draw other numbers
-            self._collector = build_collector(
-                CollectorSpec(
-                    config,
-                    env,
-                    counts,
-                    self._policy.module,
-                    self._progress.pushes,
-                    dict(self._collector_state),
-                )
-            )
-        self._saved = time.monotonic()
+    kept = learning_config(config)
+    return Trainer(config, state, collector, curve, folder / NAME, kept, keep_network)
 
-    def run(self) -> None:
-        """Train to the end of the budget."""
-        budget = self._config.budget
-        self._progress.open(self._learner.updates, budget.pushes, budget.minutes)
-        while not self._finished():
-            collected = self._collector.collect(meanwhile=self._update_within_limit)
-            self._remember(collected)
-            self._learn()
-            self._progress.tell(
-                self._learner.updates, self._policy.epsilon, self._curriculum.newest
-            )
-            self._curve.pushed(self._progress.pushes, lambda: self.averaged)
-            if time.monotonic() - self._saved > 60.0 * self._config.train.checkpoint_minutes:
-                self._save()
-        self._save()
 
-    @property
-    def averaged(self) -> QNetwork:
-        """The network with the average of its weights over the last updates, on the CPU."""
-        return cast(QNetwork, self._learner.averaged)
-
-    def close(self) -> None:
-        """End the collector and the live line."""
-        self._progress.close()
-        self._collector.close()
-
-    # ------------------------------------------------------------------ the loop's parts
-
-    def _finished(self) -> bool:
-        budget = self._config.budget
-        late = budget.minutes is not None and self._progress.seconds > 60.0 * budget.minutes
-        return late or self._progress.pushes >= budget.pushes
-
-    def _remember(self, collected: TensorDictBase) -> None:
-        """Take [T] pushes into the replay buffer, once as they were and once in hindsight."""
-        self._progress.pushed(collected)
-        self._policy.pushed(len(collected))
-        self._curriculum.pushed(collected)
-        transitions = self._replay.stored(collected)
-        self._replay.extend(transitions)
-        self._replay.extend(self._hindsight(transitions, collected["collector", "traj_ids"]))
-
-    def _learn(self) -> None:
-        """Do the updates that are due, and hand the weights to the collector."""
-        while self._learner.updates < self._due(self._config.train.utd_ratio):
-            self._update()
-        self._policy.load_weights(self.network)
-        self._collector.update_policy_weights()
-
-    def _due(self, utd_ratio: float) -> int:
-        late = self._progress.pushes - self._config.train.learning_starts
-        return int(utd_ratio * max(late, 0))
-
-    def _update_within_limit(self) -> bool:
-        """Update if the pushes so far allow another; return whether they do."""
-        if self._learner.updates >= self._due(self._config.train.max_utd_ratio):
-            return False
-        self._update()
-        return True
-
-    def _update(self) -> None:
-        batch = self._replay.sample()
-        if self._learner.precision is None:
-            self._choose_precision(batch)
-        self._progress.updated(self._learner.update(batch))
-
-    def _choose_precision(self, batch: TensorDictBase) -> None:
-        """Choose it once a run folder: what is faster today may not be tomorrow."""
-        wanted, kept = self._config.runtime.precision, self._folder / "precision.json"
-        if wanted == "auto" and kept.exists():
-            wanted = json.loads(kept.read_text(encoding="utf-8"))["precision"]
-        chosen = self._learner.choose_precision(wanted, batch)
-        if self._config.runtime.precision == "auto":
-            write_json(kept, {"precision": chosen})
-
-    # ------------------------------------------------------------------ checkpoints
-
-    def _parts(self) -> dict[str, Any]:
-        return {
-            "learner": self._learner,
-            "policy": self._policy,
-            "replay": self._replay.buffer,
-            "hindsight": self._hindsight,
-            "curriculum": self._curriculum,
-            "progress": self._progress,
-            "collector": self._collector_state,
-        }
-
-    def _save(self) -> None:
-        self._collector_state.clear()
-        self._collector_state.update(self._collector.state())
-        save_checkpoint(self._folder / NAME, self._parts(), learning_config(self._config))
-        self._keep_network(self.averaged)
-        self._saved = time.monotonic()
-
-    def _load(self) -> None:
-        if (self._folder / NAME).exists():
-            check_same_learning(self._folder / NAME, self._config)
-            load_checkpoint(self._folder / NAME, self._parts())
-            self._policy.load_weights(self.network)
-            goes_on = self._config.collector.name == "sync" and self._collector_state
-            if not goes_on:
-                self._progress.forget_episode()
-                self._hindsight.forget_episode()
-        self._curve.go_on_from(self._progress.pushes)
+def _restored(state: TrainingState, checkpoint: Path, config: Config) -> dict[str, Any]:
+    """Load the checkpoint, if there is one; returns the collector's state."""
+    collector: dict[str, Any] = {}
+    if checkpoint.exists():
+        check_same_learning(checkpoint, config)
+        load_checkpoint(checkpoint, state.parts(collector))
+        state.policy.load_weights(state.learner.network)
+        if not (collector and config.collector.name == "sync"):
+            state.progress.forget_episode()
+            state.hindsight.forget_episode()
+    return collector
 
 
 def training_env(config: Config, counts: ObjectCountSampler) -> EnvConfig:

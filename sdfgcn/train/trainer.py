@@ -1,0 +1,173 @@
+"""The loop of a training: push, remember, learn, tell, evaluate, and keep a checkpoint."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+from tensordict import TensorDictBase
+
+from sdfgcn.config import Config
+from sdfgcn.files import write_json
+from sdfgcn.models.q_network import QNetwork
+from sdfgcn.train.checkpoint import save_checkpoint
+from sdfgcn.train.collectors import PushCollector
+from sdfgcn.train.curriculum import Curriculum
+from sdfgcn.train.exploration import EpsilonGreedyPolicy
+from sdfgcn.train.held_out import HeldOutCurve
+from sdfgcn.train.hindsight import Hindsight
+from sdfgcn.train.learner import Learner
+from sdfgcn.train.progress import Progress
+from sdfgcn.train.replay import Replay
+
+
+@dataclass(frozen=True)
+class TrainingState:
+    """All that a checkpoint keeps, but for where the collector is.
+
+    Attributes:
+        learner: Network, target network and optimiser.
+        policy: Picks the pushes.
+        replay: What has been seen.
+        hindsight: Makes transitions with other goals.
+        curriculum: How many objects there are.
+        progress: Counters and recent figures.
+    """
+
+    learner: Learner
+    policy: EpsilonGreedyPolicy
+    replay: Replay
+    hindsight: Hindsight
+    curriculum: Curriculum
+    progress: Progress
+
+    def parts(self, collector: dict[str, Any]) -> dict[str, Any]:
+        """The parts of a checkpoint by name, with the collector's state as it is or is to be."""
+        return {
+            "learner": self.learner,
+            "policy": self.policy,
+            "replay": self.replay.buffer,
+            "hindsight": self.hindsight,
+            "curriculum": self.curriculum,
+            "progress": self.progress,
+            "collector": collector,
+        }
+
+
+class Trainer:
+    """Trains until the budget is spent."""
+
+    def __init__(
+        self,
+        config: Config,
+        state: TrainingState,
+        collector: PushCollector,
+        curve: HeldOutCurve,
+        checkpoint: Path,
+        learning_config: dict[str, Any],
+        keep_network: Callable[[QNetwork], None],
+    ) -> None:
+        """Take the parts.
+
+        Args:
+            config: The whole experiment.
+            state: What is learned, and from what.
+            collector: Pushes.
+            curve: Evaluates on held-out scenes.
+            checkpoint: The archive to write.
+            learning_config: What of the config a checkpoint belongs to.
+            keep_network: Takes the network with each checkpoint.
+        """
+        self._config = config
+        self._state = state
+        self._learner, self._policy, self._replay = state.learner, state.policy, state.replay
+        self._hindsight, self._curriculum = state.hindsight, state.curriculum
+        self._progress = state.progress
+        self._collector = collector
+        self._curve = curve
+        self._checkpoint = checkpoint
+        self._learning_config = learning_config
+        self._keep_network = keep_network
+        self._saved = time.monotonic()
+
+    def run(self) -> None:
+        """Train to the end of the budget."""
+        budget = self._config.budget
+        self._progress.open(self._learner.updates, budget.pushes, budget.minutes)
+        while not self._finished():
+            self._remember(self._collector.collect(meanwhile=self._update_within_limit))
+            self._learn()
+            self._progress.tell(
+                self._learner.updates, self._policy.epsilon, self._curriculum.newest
+            )
+            self._curve.pushed(self._progress.pushes, lambda: self.averaged)
+            if time.monotonic() - self._saved > 60.0 * self._config.train.checkpoint_minutes:
+                self._save()
+        self._save()
+
+    @property
+    def averaged(self) -> QNetwork:
+        """The network with the average of its weights over the last updates, on the CPU."""
+        return cast(QNetwork, self._learner.averaged)
+
+    def close(self) -> None:
+        """End the collector and the live line."""
+        self._progress.close()
+        self._collector.close()
+
+    def _finished(self) -> bool:
+        budget = self._config.budget
+        late = budget.minutes is not None and self._progress.seconds > 60.0 * budget.minutes
+        return late or self._progress.pushes >= budget.pushes
+
+    def _remember(self, collected: TensorDictBase) -> None:
+        """Take [T] pushes into the replay buffer, once as they were and once in hindsight."""
+        self._progress.pushed(collected)
+        self._policy.pushed(len(collected))
+        self._curriculum.pushed(collected)
+        transitions = self._replay.stored(collected)
+        self._replay.extend(transitions)
+        self._replay.extend(self._hindsight(transitions, collected["collector", "traj_ids"]))
+
+    def _learn(self) -> None:
+        """Do the updates that are due, and hand the weights to the collector."""
+        while self._learner.updates < self._due(self._config.train.utd_ratio):
+            self._update()
+        self._policy.load_weights(self._learner.network)
+        self._collector.update_policy_weights()
+
+    def _due(self, utd_ratio: float) -> int:
+        late = self._progress.pushes - self._config.train.learning_starts
+        return int(utd_ratio * max(late, 0))
+
+    def _update_within_limit(self) -> bool:
+        """Update if the pushes so far allow another; return whether they do."""
+        if self._learner.updates >= self._due(self._config.train.max_utd_ratio):
+            return False
+        self._update()
+        return True
+
+    def _update(self) -> None:
+        batch = self._replay.sample()
+        if self._learner.precision is None:
+            self._choose_precision(batch)
+        self._progress.updated(self._learner.update(batch))
+
+    def _choose_precision(self, batch: TensorDictBase) -> None:
+        """Choose it once a run folder: what is faster today may not be tomorrow."""
+        wanted, kept = self._config.runtime.precision, self._checkpoint.with_name("precision.json")
+        if wanted == "auto" and kept.exists():
+            wanted = json.loads(kept.read_text(encoding="utf-8"))["precision"]
+        chosen = self._learner.choose_precision(wanted, batch)
+        if self._config.runtime.precision == "auto":
+            write_json(kept, {"precision": chosen})
+
+    def _save(self) -> None:
+        parts = self._state.parts(self._collector.state())
+        save_checkpoint(self._checkpoint, parts, self._learning_config)
+        self._keep_network(self.averaged)
+        self._saved = time.monotonic()
