@@ -131,6 +131,18 @@ def test_a_policy_of_another_model(tmp_path: Path) -> None:
         build_agent(config, np.random.default_rng(0))
 
 
+@pytest.mark.parametrize(
+    ("override", "told"),
+    [
+        ("env.push.directions=16", r"env\.push\.directions is 16, but checkpoint=sdfgcn was .* 8;"),
+        ("env.arena.image_size=128", r"env\.arena\.image_size is 128, but .* trained with 96;"),
+    ],
+)
+def test_weights_of_another_env_are_refused(override: str, told: str) -> None:
+    with pytest.raises(SdfgcnError, match=told):
+        build_agent(real_config(override), np.random.default_rng(0))
+
+
 def test_no_weights_at_all() -> None:
     with pytest.raises(SdfgcnError, match="give checkpoint="):
         build_agent(real_config("model=sdfgcn"), np.random.default_rng(0))

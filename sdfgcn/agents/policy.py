@@ -114,18 +114,28 @@ def trained_agent(config: Config) -> QAgent:
     """The agent of the trained Q-network in `config.checkpoint`.
 
     Raises:
-        SdfgcnError: `config.checkpoint` names no weights of this model.
+        SdfgcnError: `config.checkpoint` names no weights of this model, or they are of another
+            number of directions or another size of the picture than `config.env` has.
     """
     if config.checkpoint is None:
         raise SdfgcnError(
             f"model.name is '{config.model.name}', which needs trained weights: give checkpoint=..."
         )
     network, about = load_network(config.checkpoint)
-    if config.model.name != about["model"]["name"]:
+    if config.model.name not in ("released", about["model"]["name"]):
         raise SdfgcnError(
             f"checkpoint={config.checkpoint} holds weights of model={about['model']['name']}, but "
             f"model.name is '{config.model.name}'."
         )
+    for key, asked, trained in (
+        ("env.push.directions", config.env.push.directions, network.n_directions),
+        ("env.arena.image_size", config.env.arena.image_size, network.image_size),
+    ):
+        if asked != trained:
+            raise SdfgcnError(
+                f"{key} is {asked}, but checkpoint={config.checkpoint} was trained with {trained}; "
+                "use that value, or train a network for yours."
+            )
     return QAgent(network)
 
 

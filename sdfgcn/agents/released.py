@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sdfgcn.agents.epsilon_greedy import QAgent
-from sdfgcn.agents.policy import load_network
+from sdfgcn.agents.policy import trained_agent
 from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.registry import MODELS
@@ -29,6 +29,4 @@ class ReleasedConfig(QNetworkConfig):
 @MODELS.register("released", config=ReleasedConfig)
 def released(config: Config, rng: np.random.Generator) -> QAgent:
     """Build the agent of the weights that `config.checkpoint` names; it draws nothing."""
-    assert config.checkpoint is not None  # the config has been checked
-    network, _ = load_network(config.checkpoint)
-    return QAgent(network)
+    return trained_agent(config)
