@@ -17,19 +17,20 @@ from sdfgcn.objects.prepare import prepare
 from sdfgcn.objects.storage import cache_dir, read_models, write_models
 from sdfgcn.registry import OBJECTS
 
-FORMAT = 3  # raise it whenever the same settings would now give other objects
-# The palette does not change what is cached; the two others are part of the fingerprint.
+FORMAT = 3  # increment whenever the same settings would yield different objects
+# The palette does not affect the cached objects; the fingerprint covers the other two.
 _NOT_IN_KEY = ("palette", "root", "split_file")
 
 log = logging.getLogger(__name__)
 
 
 def load_catalogue(cfg: ObjectsConfig, split: str) -> tuple[ObjectModel, ...]:
-    """Return the objects of one split in a fixed order, building the cache first if need be.
+    """Return the objects of one split in a fixed order, building the cache if needed.
 
     Raises:
-        SdfgcnError: An unknown source or split, a contradictory limit, a damaged or unwritable
-            cache, no network for `scanned`, a bad directory for `shapenet`, or an empty split.
+        SdfgcnError: The source or split is unknown, the limits contradict each other, the cache is
+            damaged or not writable, `scanned` has no network, `shapenet` has a bad directory, or
+            the split is empty.
     """
     OBJECTS.find(cfg.name)
     if split not in SPLITS:

@@ -1,7 +1,7 @@
-"""Draw every object of a catalogue in one picture.
+"""Draw every object of a catalogue in one image.
 
-`python -m sdfgcn.objects.contact_sheet objects=scanned out=contact_sheet.png` takes the overrides
-of the command `sdfgcn`; `pieces=true` draws the convex collision pieces instead of the mesh.
+`python -m sdfgcn.objects.contact_sheet objects=scanned out=contact_sheet.png` takes the same
+overrides as the `sdfgcn` command; `pieces=true` draws collision pieces instead of meshes.
 """
 
 from __future__ import annotations
@@ -25,18 +25,16 @@ from sdfgcn.files import replaced
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.objects.model import ObjectModel
 
-TILE = 200  # pixels, side of one object's picture
-CAPTION = 46  # pixels below it
+TILE = 200  # pixels, side of one object's image
+CAPTION = 46  # pixels, height of the caption below it
 COLUMNS = 8
 
 
 def draw_sheet(cfg: ObjectsConfig, pieces: bool = False) -> Image.Image:
     """Draw all objects of both splits in their most probable resting pose.
 
-    With `pieces` the convex collision pieces are drawn instead, each in its own colour.
-
-    Returns:
-        The sheet; below each object its name, category and split, size and mass.
+    The caption gives each object's name, category, split, size, mass and number of rests. With
+    `pieces`, the convex collision pieces are drawn instead of the mesh, each in its own colour.
     """
     models = [model for split in SPLITS for model in load_catalogue(cfg, split)]
     rows = -(-len(models) // COLUMNS)
@@ -120,7 +118,7 @@ def _rendered(model: mujoco.MjModel) -> NDArray[np.uint8]:
 
 
 def main(arguments: list[str]) -> int:
-    """Draw the sheet that the arguments ask for; return the exit code."""
+    """Draw the sheet requested on the command line; return the exit code."""
     own = dict(a.split("=", 1) for a in arguments if a.startswith(("out=", "pieces=")))
     out = Path(own.get("out", "contact_sheet.png"))
     overrides = [a for a in arguments if not a.startswith(("out=", "pieces="))]

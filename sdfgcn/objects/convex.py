@@ -22,9 +22,9 @@ def hull_volume_centroid(points: NDArray) -> tuple[float, NDArray]:
 
 
 def compound_volume_centroid(pieces: Sequence[NDArray]) -> tuple[float, NDArray]:
-    """Return volume (m^3) and centroid [3] of convex pieces together; overlaps count twice.
+    """Return the total volume (m^3) and centroid [3] of convex pieces; overlaps count twice.
 
-    Counting twice is what MuJoCo does too when it derives a body's inertia from its geoms.
+    MuJoCo also counts overlaps twice when it derives a body's inertia from its geoms.
     """
     parts = [hull_volume_centroid(piece) for piece in pieces]
     total = sum(volume for volume, _ in parts)
@@ -32,10 +32,10 @@ def compound_volume_centroid(pieces: Sequence[NDArray]) -> tuple[float, NDArray]
 
 
 def hull_vertices(points: NDArray, limit: int) -> NDArray:
-    """Return a hull as large as that of `points` [P, 3], with at most `limit` (>= 8) vertices.
+    """Approximate the hull of `points` [P, 3] with at most `limit` (>= 8) vertices.
 
-    Greedy: each step takes the vertex that stands out farthest from the hull so far. Leaving out
-    vertices shrinks a round shape, so the result is scaled about its mean to the old volume.
+    Greedy: each step adds the vertex farthest outside the hull so far. Dropping vertices shrinks
+    round shapes, so the result is scaled about its mean to the original volume.
     """
     full = ConvexHull(points)
     vertices = points[full.vertices]
@@ -55,15 +55,15 @@ def hull_vertices(points: NDArray, limit: int) -> NDArray:
 
 
 def diameter(points: NDArray) -> float:
-    """Return the largest distance between two of `points` [P, 2 or 3], metres."""
+    """Return the largest distance between any two of `points` [P, 2 or 3], metres."""
     return float(pdist(points[ConvexHull(points).vertices]).max())
 
 
 def merge_pieces(pieces: Sequence[NDArray], limit: int) -> list[NDArray]:
-    """Merge convex pieces until at most `limit` are left, filling as little space as possible.
+    """Merge convex pieces until at most `limit` remain, filling as little space as possible.
 
-    Each step joins the two pieces whose common hull adds the least volume, so neighbours along a
-    wall join while a hollow stays open.
+    Each step merges the two pieces whose joint hull adds the least volume, so neighbours along a
+    wall merge while hollows stay open.
     """
     parts = [(np.asarray(piece), hull_volume_centroid(piece)[0]) for piece in pieces]
     added: dict[tuple[int, int], float] = {}
@@ -87,9 +87,9 @@ def merge_pieces(pieces: Sequence[NDArray], limit: int) -> list[NDArray]:
 
 
 def slice_into_hulls(vertices: NDArray, faces: NDArray, count: int) -> list[NDArray]:
-    """Cut a concave mesh, [V, 3] and [F, 3], across its principal axes and take the parts' hulls.
+    """Cut a concave mesh ([V, 3], [F, 3]) across its principal axes; return the hulls of the parts.
 
-    Greedy: each step makes the one cut that lowers the sum of hull volumes most.
+    Greedy: each step makes the cut that most reduces the sum of the hull volumes.
 
     Returns:
         At most `count` arrays of hull vertices [P, 3], which together cover the mesh.
@@ -114,7 +114,7 @@ def slice_into_hulls(vertices: NDArray, faces: NDArray, count: int) -> list[NDAr
 
 
 def _best_cut(triangles: NDArray, low: NDArray, high: NDArray) -> tuple[float, int, float]:
-    """The cut of a box that lowers the hull volume most: (gain, axis, level)."""
+    """The cut of a box that most reduces the hull volume: (gain, axis, level)."""
     inside = _in_box(triangles, low, high)
     whole = _hull_volume(inside)
     best = (0.0, 0, 0.0)
@@ -136,7 +136,7 @@ def _in_box(triangles: NDArray, low: NDArray, high: NDArray) -> NDArray:
 
 
 def _clip(triangles: NDArray, axis: int, level: float, sign: float) -> NDArray:
-    """Clip triangles by a plane and triangulate the rest: [F, 3, 3] -> [G, 3, 3]."""
+    """Clip triangles at a plane and triangulate the remainder: [F, 3, 3] -> [G, 3, 3]."""
     side = sign * (triangles[:, :, axis] - level)
     keep = side >= -1e-12
     whole = triangles[keep.all(axis=1)]
@@ -144,7 +144,7 @@ def _clip(triangles: NDArray, axis: int, level: float, sign: float) -> NDArray:
     if not cut.any():
         return whole
     out = [whole]
-    for lone in (True, False):  # one corner kept, or one corner lost
+    for lone in (True, False):  # one corner kept, then one corner cut off
         mine = cut & ((keep.sum(axis=1) == 1) == lone)
         first = np.argmax(keep[mine] == lone, axis=1)
         order = (first[:, None] + np.arange(3)) % 3

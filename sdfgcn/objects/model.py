@@ -1,4 +1,4 @@
-"""The types of this package: object models with their resting poses, and sources of objects."""
+"""Types for object models, their resting poses and object sources."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ class Rest:
     """One stable resting pose on a horizontal table, up to yaw.
 
     Attributes:
-        quat: Orientation (w, x, y, z) at yaw zero; turn it about the vertical freely.
-        height: Frame origin above the table, metres.
+        quat: Orientation (w, x, y, z) at yaw zero; any yaw is equally stable.
+        height: Height of the frame origin above the table, metres.
         radius: Largest horizontal distance of any vertex from the origin in this pose, metres.
-        probability: Share of random drops that end in this pose; the rests of an object sum to 1.
+        probability: Share of random drops that end in this pose; an object's rests sum to 1.
     """
 
     quat: tuple[float, float, float, float]
@@ -33,21 +33,21 @@ class Rest:
 
 @dataclass(frozen=True)
 class ObjectModel:
-    """One catalogue entry, already scaled; metres, kilograms.
+    """One catalogue entry at its final scale.
 
-    The frame origin is the volume centroid of the collision pieces, which makes it the centre of
-    mass of a body of uniform density.
+    The frame origin is the volume centroid of the collision pieces, and so the centre of mass at
+    uniform density.
 
     Attributes:
         name: Unique within its catalogue.
-        category: Categories are disjoint between the splits.
+        category: Each category belongs to one split only.
         split: "train" or "test".
-        vertices: Visual mesh, float32 [V, 3].
+        vertices: Visual mesh, float32 [V, 3], metres.
         faces: Visual mesh, int32 [F, 3], counter-clockwise from outside.
         uv: Texture coordinates, float32 [V, 2], or None. (0, 0) is the first pixel of the first
-            row, as MuJoCo reads it (in an OBJ file v runs the other way).
-        texture: uint8 [T, T, 3], or None where the colour is drawn per episode.
-        pieces: Convex collision pieces, each its hull vertices, float32 [P, 3].
+            row, as in MuJoCo (v runs the other way in OBJ files).
+        texture: uint8 [T, T, 3], or None if the colour is drawn per episode.
+        pieces: Hull vertices of the convex collision pieces, each float32 [P, 3], metres.
         mass: Kilograms.
         rests: Stable resting poses, most probable first; at least one.
     """
@@ -65,22 +65,22 @@ class ObjectModel:
 
     @functools.cached_property
     def hull(self) -> NDArray[np.float32]:
-        """Vertices of the visual mesh's convex hull, [K, 3]; only they can lie on its outline."""
+        """Vertices of the visual mesh's convex hull, [K, 3]; only these can lie on its outline."""
         return self.vertices[ConvexHull(self.vertices).vertices]
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A mesh with its convex pieces, before it is scaled and settled.
+    """A mesh with its convex pieces, before scaling and settling.
 
     Attributes:
-        vertices: [V, 3], in the source's own frame; metres where the source has a unit.
+        vertices: [V, 3], in the source's frame; metres if the source has a unit.
         faces: [F, 3], counter-clockwise from outside.
         pieces: Convex pieces, each [P, 3].
         uv: [V, 2] as in `ObjectModel`, or None.
         texture: uint8 [T, T, 3], or None.
-        footprint: Wanted footprint in metres for a source without a unit, or None to keep the
-            size that the source gives as far as the limits allow.
+        footprint: Target footprint in metres for a source without a unit, or None to keep the
+            source's size as far as the limits allow.
     """
 
     vertices: NDArray
@@ -91,21 +91,21 @@ class Shape:
     footprint: float | None = None
 
     def mapped(self, change: Callable[[NDArray], NDArray]) -> Shape:
-        """The shape with all its points [P, 3] changed by an affine map."""
+        """The shape with an affine map applied to all its points [P, 3]."""
         return replace(self, vertices=change(self.vertices), pieces=tuple(map(change, self.pieces)))
 
     def moved(self, x: float = 0.0, y: float = 0.0, z: float = 0.0) -> Shape:
-        """The shape shifted by metres."""
+        """The shape translated by (x, y, z) metres."""
         return self.mapped(lambda points: points + np.array([x, y, z]))
 
     def turned(self, axis: str, degrees: float) -> Shape:
-        """The shape turned about a coordinate axis through the origin."""
+        """The shape rotated about a coordinate axis."""
         return self.mapped(Rotation.from_euler(axis, degrees, degrees=True).apply)
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """How to make one catalogue entry; `build` does the slow part."""
+    """How to build one catalogue entry; `build` does the slow part."""
 
     name: str
     category: str
@@ -115,19 +115,19 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Source:
-    """Where objects come from; `sdfgcn/objects/sources/` registers each by name.
+    """A source of objects, registered by name in `sdfgcn/objects/sources/`.
 
     Attributes:
-        recipes: Lists every object of both splits; may download. Called only to build a cache.
-        fingerprint: Text that changes when the same settings would give other objects.
-        lenient: Leave out an object that cannot be built, with a warning, instead of failing.
+        recipes: Lists all objects of both splits; may download. Called only to build a cache.
+        fingerprint: Text that changes whenever the same settings would yield different objects.
+        lenient: Whether to skip objects that cannot be built, with a warning, instead of failing.
     """
 
-    recipes: Callable[[Any], list[Recipe]]  # takes the source's own subclass of ObjectsConfig
+    recipes: Callable[[Any], list[Recipe]]  # takes the source's subclass of ObjectsConfig
     fingerprint: Callable[[Any], str] = field(default=lambda cfg: "")
     lenient: bool = False
 
 
 def name_generator(name: str) -> np.random.Generator:
-    """Return a generator that depends on the object's name alone, so that builds agree."""
+    """Return a generator seeded by the object's name alone, so that builds are reproducible."""
     return np.random.default_rng(int.from_bytes(hashlib.sha256(name.encode()).digest()[:8]))

@@ -1,4 +1,4 @@
-"""From a source's shape to a catalogue entry: centre, settle, scale, thicken, weigh."""
+"""Turn a source's shape into a catalogue entry: centre, settle, scale, thicken, weigh."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def prepare(recipe: Recipe, cfg: ObjectsConfig) -> ObjectModel:
     """Build one catalogue entry: the scaled object with its resting poses.
 
     Raises:
-        SdfgcnError: The object never comes to rest, or a collision piece of it is flat.
+        SdfgcnError: The object never comes to rest, or one of its collision pieces is flat.
     """
     try:
         shape = _reduced(recipe.build(), cfg)
@@ -46,7 +46,7 @@ def prepare(recipe: Recipe, cfg: ObjectsConfig) -> ObjectModel:
 
 
 def _reduced(shape: Shape, cfg: ObjectsConfig) -> Shape:
-    """The shape about its centroid, with no more faces, pieces and vertices than allowed."""
+    """The shape centred on its centroid, within the limits on faces, pieces and vertices."""
     pieces = merge_pieces(shape.pieces, cfg.max_pieces)
     vertices, faces, uv = decimate(shape.vertices, shape.faces, shape.uv, cfg.max_faces)
     pieces = [hull_vertices(piece, cfg.max_piece_vertices) for piece in pieces]
@@ -56,16 +56,16 @@ def _reduced(shape: Shape, cfg: ObjectsConfig) -> Shape:
 
 
 def _thickened(shape: Shape, direction: NDArray, factor: float) -> Shape:
-    """Stretch along one direction: the gripper would slide over a paper-thin object.
+    """Stretch along one direction, because the gripper would slide over a paper-thin object.
 
-    An affine map keeps convex pieces convex and the centroid at the origin.
+    A linear map keeps convex pieces convex and the centroid at the origin.
     """
     stretch = np.eye(3) + (factor - 1.0) * np.outer(direction, direction)
     return shape.mapped(lambda points: points @ stretch)
 
 
 def _first_scale(shape: Shape, cfg: ObjectsConfig) -> float:
-    """The scale that brings a shape near its final size; its resting poses hardly depend on it."""
+    """A scale that brings the shape near its final size; resting poses hardly depend on it."""
     size = diameter(np.concatenate(shape.pieces))
     return float(np.clip(size, cfg.footprint_min, cfg.footprint_max)) / size
 
@@ -77,7 +77,7 @@ def _poses(shape: Shape, cfg: ObjectsConfig, rng: np.random.Generator) -> list[P
         _measured(rotation, probability, solid, points)
         for rotation, probability in find_rests(shape.pieces, cfg, rng)
     ]
-    # An object that stands on its narrow side falls over when pushed and lands somewhere else.
+    # An object standing on its narrow side topples when pushed and ends up in another pose.
     low = 2.0 * min((pose.height for pose in poses), default=0.0)
     return [
         pose
@@ -102,9 +102,9 @@ def _measured(rotation: Rotation, probability: float, solid: NDArray, points: ND
 def _final_scale(
     poses: list[Pose], wanted: float | None, natural: float, cfg: ObjectsConfig
 ) -> float:
-    """The scale for the wanted footprint, or for the natural size, as far as the limits allow.
+    """The scale for the `wanted` footprint or the `natural` size, as far as the limits allow.
 
-    Where the limits contradict each other, `footprint_min` wins.
+    If the limits conflict, `footprint_min` wins.
     """
     footprint = poses[0].footprint
     smallest = cfg.footprint_min / footprint
@@ -115,7 +115,7 @@ def _final_scale(
 
 
 def _within_limits(poses: list[Pose], scale: float, cfg: ObjectsConfig) -> list[Pose]:
-    """Leave out poses that are still too tall or too wide, but never the most probable one."""
+    """Drop poses that are still too tall or too wide, but never the most probable one."""
     fits = [
         index == 0
         or (pose.top * scale <= cfg.height_max and pose.footprint * scale <= cfg.footprint_max)

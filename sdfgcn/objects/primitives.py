@@ -1,4 +1,4 @@
-"""The solids that household objects are made of, each a mesh with its convex pieces."""
+"""Solids from which household objects are built, each a mesh with its convex pieces."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from sdfgcn.objects.meshes import mesh_volume
 from sdfgcn.objects.model import Shape
 
 Profile = Sequence[tuple[float, float]]  # (radius, z) from bottom to top, metres
-ROUND = 32  # corners of a circle in a visual mesh
+ROUND = 32  # vertices of a circle in a visual mesh
 SECTORS = 10  # convex sectors around a hollow wall
 
 
 def join(*parts: Shape) -> Shape:
-    """Return one part made of several, which may overlap."""
+    """Combine parts, which may overlap, into one shape."""
     offsets = np.cumsum([0] + [len(part.vertices) for part in parts[:-1]])
     return Shape(
         np.concatenate([part.vertices for part in parts]),
@@ -28,7 +28,7 @@ def join(*parts: Shape) -> Shape:
 
 
 def convex(points: NDArray) -> Shape:
-    """Return the convex hull of `points` [P, 3] as mesh and single piece."""
+    """Return the convex hull of `points` [P, 3] as a mesh with a single piece."""
     hull = ConvexHull(points)
     number = np.full(len(points), -1)
     number[hull.vertices] = np.arange(len(hull.vertices))
@@ -42,7 +42,7 @@ def convex(points: NDArray) -> Shape:
 
 
 def box(x: float, y: float, z: float) -> Shape:
-    """Return a box of the given sides (m), centred in x and y, its bottom at z = 0."""
+    """Return a box with the given sides (m), centred in x and y, with its bottom at z = 0."""
     return prism([(-x / 2, -y / 2), (x / 2, -y / 2), (x / 2, y / 2), (-x / 2, y / 2)], z)
 
 
@@ -54,7 +54,7 @@ def prism(outline: Sequence[tuple[float, float]] | NDArray, z: float) -> Shape:
 
 
 def circle(radius: float, corners: int, squash: float = 1.0) -> NDArray:
-    """Return `corners` points on an ellipse with half axes `radius`, `radius` * `squash` (m)."""
+    """Return [corners, 2] points on an ellipse with half axes `radius`, `radius` * `squash` (m)."""
     angle = np.linspace(0, 2 * np.pi, corners, endpoint=False)
     return np.column_stack([radius * np.cos(angle), radius * squash * np.sin(angle)])
 
@@ -70,7 +70,7 @@ def ellipsoid(x: float, y: float, z: float) -> Shape:
 
 
 def turned_solid(profile: Profile) -> Shape:
-    """Return a solid turned on a lathe: `profile` revolved about z, one piece per convex run."""
+    """Revolve `profile` about z into a solid, with one piece per convex run."""
     outline = [(0.0, profile[0][1]), *profile, (0.0, profile[-1][1])]
     pieces = tuple(
         np.concatenate([np.column_stack([circle(r, 16), np.full(16, z)]) for r, z in run])
@@ -80,7 +80,7 @@ def turned_solid(profile: Profile) -> Shape:
 
 
 def turned_vessel(profile: Profile, wall: float, base: float) -> Shape:
-    """Return a hollow vessel turned on a lathe, open at the top.
+    """Revolve a profile about z into a hollow vessel, open at the top.
 
     Args:
         profile: Outer (radius, z) from bottom to top, metres.
@@ -88,7 +88,7 @@ def turned_vessel(profile: Profile, wall: float, base: float) -> Shape:
         base: Thickness of the bottom, metres.
 
     Returns:
-        Wall sectors of convex pieces around an empty inside, and a disc as bottom.
+        Convex wall sectors around an empty interior, and a disc as the bottom.
     """
     floor = profile[0][1] + base
     inner = [(r - wall, max(z, floor)) for r, z in profile]
@@ -96,7 +96,7 @@ def turned_vessel(profile: Profile, wall: float, base: float) -> Shape:
     edge = np.linspace(0, 2 * np.pi, SECTORS + 1)
     walls = []
     # The walls start 0.5 mm higher, so that only the base touches the table: the ten sectors of
-    # the lowest ring would add forty contacts.
+    # the lowest ring would otherwise add forty contacts.
     profile = [(profile[0][0], profile[0][1] + 0.0005), *profile[1:]]
     for (r0, z0), (r1, z1) in itertools.pairwise(profile):
         for a, b in itertools.pairwise(edge):
@@ -114,12 +114,12 @@ def turned_vessel(profile: Profile, wall: float, base: float) -> Shape:
 
 
 def rod(path: NDArray, radius: float, squash: float = 1.0) -> Shape:
-    """Return a bar of round (or squashed) cross-section along a path of points.
+    """Return a bar of circular (or squashed) cross-section along a path of points.
 
     Args:
-        path: [K, 3] metres; one convex piece per stretch between neighbours.
-        radius: Half thickness across the path's plane normal, metres.
-        squash: Half thickness in the path's plane relative to `radius`.
+        path: [K, 3] metres; each segment becomes one convex piece.
+        radius: Half thickness along the normal of the path's plane, metres.
+        squash: Half thickness within the path's plane, relative to `radius`.
     """
     path = np.asarray(path, float)
     closed = np.allclose(path[0], path[-1])
@@ -128,7 +128,7 @@ def rod(path: NDArray, radius: float, squash: float = 1.0) -> Shape:
         tangents[0] = tangents[-1] = path[1] - path[-2]
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     across = np.linalg.svd(path - path.mean(axis=0))[2][2]
-    normal = across / np.linalg.norm(across)  # of the path's plane; of a straight path, any
+    normal = across / np.linalg.norm(across)  # of the path's plane; arbitrary for a straight path
     side = np.cross(tangents, normal)
     flat = circle(radius, 8, squash)
     rings = path[:, None] + flat[:, :1] * normal + flat[:, 1:] * side[:, None]
@@ -136,7 +136,7 @@ def rod(path: NDArray, radius: float, squash: float = 1.0) -> Shape:
 
 
 def arc_path(radius: float, start: float, end: float, stretches: int) -> NDArray:
-    """Return points of a circle's arc in the x-z plane, angles in degrees, [stretches + 1, 3]."""
+    """Return [stretches + 1, 3] points on an arc in the x-z plane; angles in degrees."""
     angle = np.deg2rad(np.linspace(start, end, stretches + 1))
     return np.column_stack([radius * np.cos(angle), np.zeros_like(angle), radius * np.sin(angle)])
 
@@ -148,7 +148,7 @@ def _arc(radius: float, z: float, angles: NDArray) -> NDArray:
 
 
 def _convex_runs(profile: list[tuple[float, float]]) -> list[list[tuple[float, float]]]:
-    """Split a profile where it turns inward, so that each run revolves into a convex solid."""
+    """Split a profile where it is concave, so that each run revolves into a convex solid."""
     runs = [profile[:2]]
     for point in profile[2:]:
         (r0, z0), (r1, z1) = runs[-1][-2:]

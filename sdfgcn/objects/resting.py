@@ -15,15 +15,15 @@ from scipy.spatial.transform import Rotation
 from sdfgcn.config import ObjectsConfig
 from sdfgcn.objects.model import Rest
 
-SAME_FACE = np.deg2rad(15.0)  # down directions closer than this belong to the same face
+SAME_FACE = np.deg2rad(15.0)  # down directions closer than this count as the same face
 TIMESTEP = 0.002  # s
-SOLREF = (0.005, 1.0)  # with a softer contact, flat faces tremble on three points for ever
-STILL_SECONDS = 0.1  # at rest: slower than `settle_speed` for this long
+SOLREF = (0.005, 1.0)  # with softer contacts, flat faces jitter on three points forever
+STILL_SECONDS = 0.1  # an object is at rest once slower than `settle_speed` for this long
 
 
 @dataclass(frozen=True)
 class Pose:
-    """A resting pose with the extents (metres) that decide the scale."""
+    """A resting pose with the extents (metres) that determine the scale."""
 
     rotation: Rotation
     height: float
@@ -41,16 +41,16 @@ class Pose:
 def find_rests(
     pieces: Sequence[NDArray], cfg: ObjectsConfig, rng: np.random.Generator
 ) -> list[tuple[Rotation, float]]:
-    """Drop a body from random orientations and group where it comes to rest.
+    """Drop a body from random orientations and group the poses in which it comes to rest.
 
-    `pieces` are convex, each [P, 3] in metres, about their common centroid.
+    `pieces` are convex, each [P, 3] in metres, centred on their common centroid.
 
-    Drops that still move after `settle_seconds` are left out, and so are poses rarer than
-    `settle_min_probability`. A family of poses that look alike (a cylinder on its side at any roll
-    angle) counts as one pose, because each of its members alone would be too rare to keep.
+    Drops still moving after `settle_seconds` are discarded, as are poses rarer than
+    `settle_min_probability`. A family of similar poses (a cylinder on its side at any roll angle)
+    counts as one for this, because each member alone would be too rare to keep.
 
     Returns:
-        (orientation at yaw zero, probability), most probable first; empty if nothing came to rest.
+        (orientation at yaw zero, probability), most probable first; empty if no drop came to rest.
     """
     model = _drop_model(pieces, cfg)
     points = np.concatenate(pieces)
@@ -60,14 +60,13 @@ def find_rests(
 
 
 def tipping_angle(points: NDArray) -> float:
-    """How far an object must be tilted before it falls over.
+    """The tilt, in degrees, at which an object falls over; 0 if its support is a line or a point.
+
+    The support is every vertex within 2% of the object's size of the lowest one.
 
     Args:
-        points: [P, 3] collision vertices, turned as the object rests; the origin is its centre
-            of mass. The support is what lies within 2% of the object's size of the lowest point.
-
-    Returns:
-        Degrees; 0 where the support is a line or a point.
+        points: [P, 3] collision vertices in the resting orientation, relative to the centre of
+            mass.
     """
     bottom = points[:, 2].min()
     support = points[points[:, 2] < bottom + 0.02 * np.ptp(points, axis=0).max(), :2]
@@ -83,7 +82,7 @@ def _drop_model(pieces: Sequence[NDArray], cfg: ObjectsConfig) -> mujoco.MjModel
     spec.option.timestep = TIMESTEP
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
     spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
-    # Condim 6 gives rolling friction: without it a can or an apple would never stop.
+    # condim 6 adds rolling friction, without which a can or an apple would never stop.
     surface = {"condim": 6, "friction": list(cfg.settle_friction), "solref": list(SOLREF)}
     spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[1, 1, 0.1], **surface)
     body = spec.worldbody.add_body()
@@ -142,28 +141,28 @@ def _group(
 
 
 def _signature(rotation: Rotation, points: NDArray) -> NDArray:
-    """Lengths (m) that do not depend on yaw or, for a round body, on the roll angle; [4]."""
+    """[4] lengths (m) that are independent of yaw and, for a round body, of the roll angle."""
     turned = rotation.apply(points)
     spread = np.sqrt(np.linalg.eigvalsh(np.cov(turned[:, :2].T)).clip(0))
     return np.array([-turned[:, 2].min(), turned[:, 2].max(), *spread])
 
 
 def components(linked: NDArray) -> list[list[int]]:
-    """Connected groups of a symmetric boolean matrix [n, n], in order of their first member."""
+    """Connected components of a symmetric boolean matrix [n, n], ordered by first member."""
     count, labels = connected_components(linked, directed=False)
     return sorted(np.flatnonzero(labels == label).tolist() for label in range(count))
 
 
 def _middle(face: list[int], down: NDArray) -> int:
-    """The member closest to the mean down direction of its group."""
+    """The member closest to the mean down direction of the group."""
     mean = down[face].mean(axis=0)
     return face[int(np.argmax(down[face] @ mean))]
 
 
 def without_yaw(rotation: Rotation) -> Rotation:
-    """Turn an orientation about the vertical to yaw zero.
+    """Rotate an orientation about the vertical to yaw zero.
 
-    There the object's x axis (its y axis where x stands upright) points along world x.
+    At yaw zero the object's x axis (or y axis, if x is upright) points along world x.
     """
     axes = rotation.as_matrix()
     column = 0 if np.hypot(axes[0, 0], axes[1, 0]) > 0.1 else 1
@@ -172,7 +171,7 @@ def without_yaw(rotation: Rotation) -> Rotation:
 
 
 def to_rest(pose: Pose, scale: float) -> Rest:
-    """Return the catalogue's record of a pose after uniform scaling."""
+    """Return the catalogue entry of a pose after uniform scaling."""
     w, x, y, z = (
         float(value) for value in pose.rotation.as_quat(canonical=True, scalar_first=True)
     )

@@ -1,4 +1,4 @@
-"""The catalogue cache: one .npz per object and a manifest written last."""
+"""The catalogue cache: one .npz per object, and a manifest written last."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ MANIFEST = "manifest.json"
 
 
 def cache_dir() -> Path:
-    """Return `SDFGCN_CACHE` if it is set, else the platform's cache folder for sdfgcn."""
+    """Return `SDFGCN_CACHE` if set, else the platform's cache folder for sdfgcn."""
     chosen = os.environ.get("SDFGCN_CACHE")
     return Path(chosen).expanduser() if chosen else Path(platformdirs.user_cache_dir("sdfgcn"))
 
 
 @contextmanager
 def new_folder(target: Path) -> Iterator[Path]:
-    """Yield a scratch folder that becomes `target` in one step when the block ends well.
+    """Yield a scratch folder that is atomically renamed to `target` on success.
 
-    If another process finished the same folder first, its result stays and ours is dropped.
+    If another process created `target` first, its result is kept and ours discarded.
 
     Raises:
-        SdfgcnError: The cache directory cannot be written.
+        SdfgcnError: The cache directory is not writable.
     """
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -59,7 +59,7 @@ def new_folder(target: Path) -> Iterator[Path]:
 
 
 def write_models(target: Path, models: list[ObjectModel]) -> None:
-    """Write a catalogue, both splits, so that the folder exists whole or not at all."""
+    """Write both splits of a catalogue; the folder appears complete or not at all."""
     with new_folder(target) as scratch:
         entries = []
         for model in models:
@@ -84,7 +84,7 @@ def read_models(folder: Path, split: str) -> tuple[ObjectModel, ...]:
     """Read one split of a cached catalogue, checking every file against the manifest.
 
     Raises:
-        SdfgcnError: A file is missing, cut short or altered.
+        SdfgcnError: A file is missing, truncated or altered.
     """
     with _damage_named(folder, folder / MANIFEST):
         entries = json.loads((folder / MANIFEST).read_text())["objects"]

@@ -1,7 +1,7 @@
-"""The simulated world: arena, robot, props, placement, push and task."""
+"""The simulated world: arena, robots, props, placement, push and task."""
 
 import warnings
 
 with warnings.catch_warnings():
-    # When it loads, it makes Python show every DeprecationWarning of every package.
+    # Importing dm_control makes Python show the DeprecationWarnings of all packages.
     import dm_control.composer  # noqa: F401

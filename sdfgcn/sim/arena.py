@@ -1,4 +1,4 @@
-"""The arena: a table, a light and the one fixed camera (paper section VI A)."""
+"""The arena: a table, a light and one fixed camera (paper section VI A)."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from dm_control import composer
 from sdfgcn.config import ArenaConfig, PhysicsConfig
 from sdfgcn.task.camera import camera_model
 
-# Geom groups decide what a picture shows and cost nothing to switch.
-GROUP_SCENE = 0  # visible props: in every picture
-GROUP_TABLE = 1  # the table: in RGB pictures
-GROUP_ROBOT = 2  # the robot's visual geoms (the Menagerie models say so)
+# Geom groups determine what an image shows; switching them costs nothing.
+GROUP_SCENE = 0  # visible props: in every image
+GROUP_TABLE = 1  # the table: in RGB images
+GROUP_ROBOT = 2  # the robot's visual geoms (as set by the Menagerie models)
 GROUP_COLLISION = 3  # convex pieces: never drawn
-GROUP_PARKED = 4  # props that are not in this episode: never drawn
+GROUP_PARKED = 4  # props not in this episode: never drawn
 
 CAMERA = "overhead"
 
 
 class Table(composer.Arena):
-    """A table top at z = 0, lit without shadows, and the camera above it."""
+    """A table top at z = 0, lit without shadows, with a camera above it."""
 
     def _build(self, arena: ArenaConfig, physics: PhysicsConfig, name: str = "arena") -> None:
         super()._build(name=name)
@@ -29,15 +29,15 @@ class Table(composer.Arena):
         root.option.impratio = physics.impratio
         root.option.ccd_tolerance = physics.ccd_tolerance
         root.option.noslip_iterations = physics.noslip_iterations
-        # A prop at rest costs nothing and does not creep (measured: 3.6 times faster pushes).
+        # Sleeping props cost nothing and do not creep (measured: pushes are 3.6 times faster).
         root.option.flag.sleep = "enable"
         root.option.sleep_tolerance = physics.sleep_tolerance
         root.size.memory = "64M"
-        root.compiler.fusestatic = True  # the gripper's fixed parts become one body
-        # Shadows and multisampling cost over 20 times the rest of a 96x96 picture.
+        root.compiler.fusestatic = True  # merges the gripper's fixed parts into one body
+        # Shadows and multisampling would make a 96x96 image over 20 times slower.
         root.visual.quality.shadowsize = 0
         root.visual.quality.offsamples = 0
-        # A frame buffer of the picture's size: neither too small for it nor larger to clear.
+        # A frame buffer of exactly the image size: a larger one takes longer to clear.
         frame = root.visual.get_children("global")
         frame.set_attributes(offwidth=arena.image_size, offheight=arena.image_size)
         root.visual.headlight.set_attributes(
@@ -51,7 +51,7 @@ class Table(composer.Arena):
             "geom",
             name="table",
             type="plane",
-            # An infinite plane for contacts, drawn as a square that fills the picture.
+            # For contacts the plane is infinite; it is drawn as a square that fills the image.
             size=[1.5, 1.5, 0.05],
             rgba=arena.table_rgba,
             group=GROUP_TABLE,

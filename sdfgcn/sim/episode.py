@@ -1,4 +1,4 @@
-"""Drawing an episode: which objects, in which pose and colour, from where to where."""
+"""Draw an episode: its objects, their colours, and their start and goal poses."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from sdfgcn.registry import SCENARIOS
 from sdfgcn.sim.placement import NoRoom, footprint
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
-MAX_DRAWS = 200  # sets of objects and layouts tried before an episode is called impossible
+MAX_DRAWS = 200  # draws of objects and layout before giving up
 
 
 @dataclass(frozen=True)
 class EpisodeSpec:
-    """Everything random about an episode, drawn before it begins.
+    """All random choices of an episode, drawn before it begins.
 
     Attributes:
-        seed: What it was drawn from.
+        seed: The seed it was drawn from.
         objects: [n] indices into the catalogue, in slot order.
         start: [n, 7] poses: xyz in metres, quaternion w, x, y, z.
-        goal: [n, 7] likewise.
-        colors: [n, 4] RGBA; an object with a texture ignores it.
+        goal: [n, 7] poses, in the same format.
+        colors: [n, 4] RGBA; ignored by textured objects.
     """
 
     seed: int
@@ -42,7 +42,8 @@ def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig)
     """Draw an episode from its seed alone.
 
     Raises:
-        SdfgcnError: The scenario cannot be had with these objects, or nothing fitted.
+        SdfgcnError: There are too few objects for the scenario or the catalogue is too small, or
+            no layout was found.
     """
     rng = np.random.default_rng(seed)
     scenario = SCENARIOS[config.scenario.name](config.scenario, config.arena)
@@ -90,13 +91,13 @@ def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig)
 def _choose(
     rng: np.random.Generator, catalogue: Sequence[ObjectModel], n: int, scenario: Scenario
 ) -> NDArray[np.int64]:
-    """[n] distinct catalogue indices; in few categories where the scenario wants that."""
+    """[n] distinct catalogue indices, from few categories if the scenario wants that."""
     if not scenario.same_category:
         return rng.choice(len(catalogue), size=n, replace=False)
     members: dict[str, list[int]] = {}
     for i in rng.permutation(len(catalogue)):
         members.setdefault(catalogue[i].category, []).append(int(i))
-    # Large categories first (ties in random order), so that groups really are groups.
+    # Categories with at least two objects first (otherwise in random order), to form groups.
     groups = sorted(members.values(), key=lambda group: len(group) < 2)
     groups = groups[: max(2, n // 2)] if n > 1 else groups[:1]
     spare = [i for group in members.values() if group not in groups for i in group]
@@ -109,20 +110,20 @@ def _choose(
 
 
 def draw_rest(rng: np.random.Generator, model: ObjectModel) -> Rest:
-    """One of the object's resting poses, by their probabilities."""
+    """Draw one of the object's resting poses by their probabilities."""
     share = np.array([rest.probability for rest in model.rests])
     return model.rests[rng.choice(len(model.rests), p=share / share.sum())]
 
 
 def turned(rng: np.random.Generator, rests: Sequence[Rest]) -> NDArray:
-    """[n, 4] the rests' orientations (w, x, y, z), each turned by a random yaw."""
+    """[n, 4] the rests' orientations (w, x, y, z), each with a random yaw."""
     turns = Rotation.from_euler("z", rng.uniform(0.0, 2.0 * np.pi, size=(len(rests), 1)))
     tilts = Rotation.from_quat([rest.quat for rest in rests], scalar_first=True)
     return (turns * tilts).as_quat(scalar_first=True)
 
 
 def _colors(rng: np.random.Generator, palette: Sequence[Sequence[float]], n: int) -> NDArray:
-    """[n, 4] palette colours, distinct as long as the palette lasts."""
+    """[n, 4] RGBA palette colours, repeated only once the palette is exhausted."""
     order = np.concatenate(
         [rng.permutation(len(palette)) for _ in range(int(np.ceil(n / len(palette))))]
     )[:n]

@@ -1,4 +1,4 @@
-"""Where props stand: layouts without collisions inside the spawn region."""
+"""Placement of props: collision-free layouts inside the spawn region."""
 
 from __future__ import annotations
 
@@ -14,18 +14,13 @@ from shapely.affinity import translate
 from sdfgcn.task.region import Region
 
 
-class NoRoom(Exception):  # noqa: N818 - an outcome of sampling; the caller draws again
-    """The props could not be placed in the tries given."""
+class NoRoom(Exception):  # noqa: N818 - an outcome of sampling, not an error; the caller draws again
+    """The props could not be placed within the allowed tries."""
 
 
 @dataclass(frozen=True)
 class Layout:
-    """Start and goal of an episode.
-
-    Attributes:
-        start: [n, 2] metres.
-        goal: [n, 2] metres.
-    """
+    """Start and goal positions of an episode, each [n, 2] metres."""
 
     start: NDArray[np.float64]
     goal: NDArray[np.float64]
@@ -33,11 +28,11 @@ class Layout:
 
 @dataclass(frozen=True)
 class Spacing:
-    """How far apart objects of one layout are.
+    """Minimum distances between the objects of a layout.
 
     Attributes:
-        centers: Least distance of two centres, metres (the authors' rule).
-        gap: Least distance of two footprints, metres: no collision.
+        centers: Between two centres, metres (the authors' rule).
+        gap: Between two footprints, metres; prevents collisions.
     """
 
     centers: float
@@ -45,17 +40,17 @@ class Spacing:
 
 
 def footprint(vertices: NDArray, quat: NDArray) -> Polygon:
-    """The convex hull of what an object covers of the table, its origin at (0, 0).
+    """The convex hull of an object's projection onto the table, with the object at (0, 0).
 
-    Its `vertices` [V, 3] are in its own frame, metres; `quat` is its orientation (w, x, y, z).
+    `vertices` [V, 3] are in the object's frame, metres; `quat` is its orientation (w, x, y, z).
     """
     turned = Rotation.from_quat(quat, scalar_first=True).apply(vertices)
-    # One line through all the points: quicker to make than the points, and its hull is theirs.
+    # A line through all points has the same hull and is faster to construct than a MultiPoint.
     return LineString(turned[:, :2]).convex_hull
 
 
 def is_free(points: NDArray, shapes: Sequence[Polygon], rule: Spacing) -> bool:
-    """Whether footprints at the [n, 2] points keep the rule with each other."""
+    """Whether footprints at the [n, 2] points satisfy the rule."""
     placed = [translate(shape, *point) for shape, point in zip(shapes, points, strict=True)]
     return all(
         np.linalg.norm(points[i] - points[j]) >= rule.centers - 1e-9
@@ -72,20 +67,20 @@ def sample_positions(
     rule: Spacing,
     max_tries: int,
 ) -> NDArray[np.float64]:
-    """Draw positions uniformly, one object after the other, without collisions.
+    """Draw collision-free positions uniformly, one object after another.
 
     Args:
         rng: Source of randomness.
-        shapes: n footprints, turned as they will lie.
-        regions: n rectangles, where each object's centre may be.
-        rule: The distances to keep.
-        max_tries: Draws per object before the layout is given up.
+        shapes: n footprints in their final orientations.
+        regions: n rectangles, one for each object's centre.
+        rule: Minimum distances.
+        max_tries: Draws per object before giving up.
 
     Returns:
         [n, 2] metres.
 
     Raises:
-        NoRoom: An object found no free place.
+        NoRoom: No free position was found for an object.
     """
     points = np.zeros((0, 2))
     placed: list[Polygon] = []

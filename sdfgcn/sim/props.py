@@ -1,7 +1,7 @@
 """Props: catalogue objects as composer entities.
 
-Every prop of a split is compiled into the model once; an episode brings some to the table and
-leaves the others parked, out of sight and asleep. So no episode recompiles the model.
+All props of a split are compiled into the model once. An episode places some of them on the table
+and leaves the others parked, hidden and asleep, so the model is never recompiled.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sdfgcn.config import PhysicsConfig
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.sim.arena import GROUP_COLLISION, GROUP_PARKED
 
-# Contact bits: props touch the table and each other (bit 0), and robots (bit 1).
+# Contact bits: props collide with the table and each other (bit 0), and with robots (bit 1).
 CONTYPE_PROP = 1
 CONAFFINITY_PROP = 3
 PARKING = np.array([4.0, 0.0, 1.0])  # metres; far from the table, outside the camera's view
@@ -45,8 +45,8 @@ class Prop(composer.Entity):
             mass=0,
             **({"material": material} if material else {"rgba": [0.6, 0.6, 0.6, 1.0]}),
         )
-        # Rolling friction: a dry torque against turning of what can roll. MuJoCo's own, per
-        # contact (condim 6), takes twice the time of a push.
+        # Rolling friction: dry joint friction on the rotation of objects that can roll. MuJoCo's
+        # rolling friction per contact (condim 6) would double the time of a push.
         weight = 9.81 * model.mass
         self.rolling_torque = physics.rolling_friction * weight if rolls(model) else 0.0
         volumes = np.array([ConvexHull(piece).volume for piece in model.pieces])
@@ -71,23 +71,23 @@ class Prop(composer.Entity):
 
     @property
     def mjcf_model(self) -> mjcf.RootElement:
-        """The prop's own MJCF tree."""
+        """The prop's MJCF tree."""
         return self._root
 
 
 def rolls(model: ObjectModel) -> bool:
-    """Whether the object could roll in some resting pose.
+    """Whether the object can roll in any resting pose.
 
-    It can where hardly any push tips it over an edge of its support (the collision vertices
-    within a millimetre of the table): where its centre of mass must rise by less than a
-    twelfth of its height for that. A prism of 9 sides rolls, one of 8 does not.
+    It can roll if, to tip over an edge of its support (the collision vertices within a millimetre
+    of the table), its centre of mass need rise by less than 8% of its height. A prism with 9
+    sides rolls, one with 8 does not.
     """
     vertices = np.concatenate(model.pieces)
     for rest in model.rests:
         turned = Rotation.from_quat(rest.quat, scalar_first=True).apply(vertices)
         support = turned[turned[:, 2] < turned[:, 2].min() + 0.001, :2]
         _, _, axes = np.linalg.svd(support - support.mean(axis=0))
-        # The frame's origin is the centre of mass; the support is narrowest along the last axis.
+        # The origin is the centre of mass; the support is narrowest along the last axis.
         across = support @ axes[-1]
         edge = max(0.0, min(-across.min(), across.max()))
         if np.hypot(rest.height, edge) < 1.08 * rest.height:
@@ -96,7 +96,7 @@ def rolls(model: ObjectModel) -> bool:
 
 
 def _add_visual_assets(root: mjcf.RootElement, model: ObjectModel) -> str | None:
-    """Add the visual mesh and, where there is one, its texture. Returns the material's name."""
+    """Add the visual mesh and any texture; return the material's name, None without texture."""
     root.asset.add("mesh", name="visual", file=mjcf.Asset(_msh(model), ".msh"), inertia="shell")
     if model.texture is None:
         return None
@@ -108,7 +108,7 @@ def _add_visual_assets(root: mjcf.RootElement, model: ObjectModel) -> str | None
 
 
 def _msh(model: ObjectModel) -> bytes:
-    """The visual mesh in MuJoCo's binary MSH format (compact, and it keeps `uv` as it is)."""
+    """The visual mesh in MuJoCo's binary MSH format (compact, and keeps `uv` unchanged)."""
     uv: NDArray = np.zeros((0, 2)) if model.uv is None else model.uv
     header = struct.pack("<4i", len(model.vertices), 0, len(uv), len(model.faces))
     arrays = [

@@ -15,14 +15,14 @@ from sdfgcn.sim.robots.robot import Robot, Unreachable
 from sdfgcn.task.region import Region
 from sdfgcn.task.world import PushCommand, PushResult
 
-NEGLIGIBLE = 0.1  # rad/s2 or m/s2 of a drive, for which no feed-forward is worked out
+NEGLIGIBLE = 0.1  # drive acceleration (rad/s2 or m/s2) below which feed-forward is skipped
 
 
 class PushPrimitive:
-    """Runs one push in the simulation."""
+    """Executes single pushes in the simulation."""
 
     def __init__(self, config: PushConfig, arena: ArenaConfig, robot: Robot):
-        """Prepare the primitive for a compiled robot; the arena's `reach` bounds the tool."""
+        """Set up the primitive for a robot; the arena's `reach` bounds the tool."""
         self._config = config
         self._reach = Region.reach(arena)
         self._robot = robot
@@ -30,14 +30,14 @@ class PushPrimitive:
     def execute(self, physics: mjcf.Physics, command: PushCommand) -> PushResult:
         """Push, and leave the robot at home; props may still be moving.
 
-        The robot crosses the free space above the props in one jump: nothing there can be
-        touched, so simulating it would only cost time. Descent, push and lift are simulated; a
-        robot that teleports is not driven down, but put there. A descent that would touch anything
-        is given up, and nothing moves; one that does so all the same is given up there.
+        The robot jumps across the free space above the props, because simulating that motion
+        would only cost time. Descent, push and lift are simulated, except that a robot with
+        `teleports` is placed at the start directly. A descent that would touch a prop is not
+        attempted; one that touches a prop unexpectedly is aborted. Both return "blocked".
 
         Args:
             physics: Stepped in place.
-            command: What to push; a start that is NaN or outside the bounds is unreachable.
+            command: The push; a start that is NaN or out of bounds is unreachable.
         """
         config = self._config
         ahead = np.array([np.cos(command.angle), np.sin(command.angle)])
@@ -47,7 +47,7 @@ class PushPrimitive:
         above = np.array([*start[:2], config.height + config.approach])
         furthest = self._room(command.start, ahead, command.free + 2.0 * config.length)
         end = start + furthest * np.array([*ahead, 0.0])
-        # The fingers stand side by side across the push; half a turn more is the same gripper.
+        # The fingers lie side by side across the push; the gripper is symmetric under a half turn.
         yaw = command.angle % np.pi - np.pi / 2
         try:
             q_above = self._robot.solve(np.array([*above, yaw]))
@@ -64,10 +64,10 @@ class PushPrimitive:
         return PushResult("done" if touched else "no_contact", start, push.at(reached)[0])
 
     def _free(self, physics: mjcf.Physics, path: _Path) -> bool:
-        """Whether the robot can go along a path without touching a prop.
+        """Whether the robot can follow a path without touching a prop.
 
-        It is put at every other waypoint, and nothing moves: the props lie still while the tool
-        comes down. What the tool passes in between, its shaft touches further down.
+        The robot is placed at every other waypoint without stepping the simulation. Whatever the
+        tool passes in between, its shaft touches further down.
         """
         model, data = physics.model.ptr, physics.data.ptr
         for joints in path.joints[::-2]:
@@ -79,7 +79,7 @@ class PushPrimitive:
         return True
 
     def _descend(self, physics: mjcf.Physics, path: _Path) -> bool:
-        """Bring the tool down a path that was found free. Returns whether it touched nothing."""
+        """Lower the tool along a free path; return whether it touched nothing."""
         if self._robot.teleports:
             self._robot.place(physics, path.joints[-1])
             return True
@@ -92,7 +92,7 @@ class PushPrimitive:
         return bool(data.ncon) and bool(self._robot.owns_geom[data.contact.geom].any())
 
     def _push(self, physics: mjcf.Physics, path: _Path, expected: float) -> tuple[float, bool]:
-        """Push `length` past the first touch, or `expected` metres. Returns (reached, touched)."""
+        """Push `length` past the first touch, or `expected` metres; return (reached, touched)."""
         config = self._config
         reached, touched = self._follow(
             physics, path, config.speed, until=expected, until_touch=True
@@ -111,9 +111,9 @@ class PushPrimitive:
         return reached, touched
 
     def _lift(self, physics: mjcf.Physics, yaw: float, push: _Path, reached: float) -> None:
-        """Back off a little, go straight up to the approach height, then home.
+        """Retreat slightly, rise straight to the approach height, then go home.
 
-        Rising while it still presses, the tool would drag the prop's edge up and throw it.
+        Without the retreat, the rising tool would drag the prop's edge up and throw it.
         """
         config = self._config
         away, _ = self._follow(
@@ -125,7 +125,7 @@ class PushPrimitive:
         )
         bottom, joints = push.at(away)
         top = np.array([*bottom[:2], config.height + config.approach])
-        # Out of reach half-way up, the arm leaves for home from where it is.
+        # If the rise is out of reach, the arm goes home from where it is.
         with contextlib.suppress(Unreachable):
             rise = _Path(self._robot, yaw, bottom, top, joints, config.approach)
             self._follow(physics, rise, config.lift_speed, to_rest=False)
@@ -148,19 +148,19 @@ class PushPrimitive:
 
         Args:
             physics: Stepped in place.
-            path: Where to go.
+            path: The path to follow.
             speed: Metres per second.
-            origin: Metres along the path at which to begin.
-            until: Metres along the path at which to end; it may lie before `origin`.
+            origin: Start, metres along the path.
+            until: End, metres along the path; may lie before `origin`.
             until_touch: Stop as soon as a prop touches the robot.
-            from_rest: Whether the tool is at rest before, and not already at `speed`.
-            to_rest: Whether it is to be at rest after.
-            gently: Whether to start and stop as a push does, and not as fast as the robot can.
+            from_rest: Whether the tool starts at rest rather than at `speed`.
+            to_rest: Whether it ends at rest.
+            gently: Use the acceleration of a push rather than the maximum of the robot.
 
         Returns:
-            How far along the path the tool was sent, and whether a touch stopped it.
+            Metres along the path that the tool was commanded to, and whether a touch stopped it.
         """
-        # Where no touch has to be noticed, every other command is enough.
+        # When no touch needs detecting, half the command rate suffices.
         tick = self._config.control_timestep * (1 if until_touch else 2)
         steps = round(tick / physics.model.opt.timestep)
         until = min(until, path.length)
@@ -169,7 +169,7 @@ class PushPrimitive:
         way = ramped(abs(distance), speed, acceleration, tick, from_rest, to_rest)
         travelled = origin + np.copysign(way, distance)
         joints = path.joints_at(travelled)
-        # Feed-forward of velocity and of acceleration takes out the lag of the drives.
+        # Velocity and acceleration feed-forward compensates the lag of the drives.
         velocity = np.zeros_like(joints)
         velocity[1:-1] = (joints[2:] - joints[:-2]) / (2.0 * tick)
         if not from_rest:
@@ -190,7 +190,7 @@ class PushPrimitive:
         return float(until), False
 
     def _room(self, start: NDArray, ahead: NDArray, wanted: float) -> float:
-        """How far the tool may go from `start` along `ahead` without leaving its bounds."""
+        """How far the tool can go from `start` along `ahead`, at most `wanted`, within its bounds."""
         with np.errstate(divide="ignore", invalid="ignore"):
             limits = np.where(ahead > 0, self._reach.high - start, self._reach.low - start) / ahead
         limits = np.where(np.abs(ahead) < 1e-9, np.inf, limits)
@@ -205,15 +205,15 @@ def ramped(
     from_rest: bool = True,
     to_rest: bool = True,
 ) -> NDArray[np.float64]:
-    """How far along a straight way the tool is at each tick.
+    """Trapezoidal motion profile: the distance travelled at each tick.
 
     Args:
         distance: Metres.
-        speed: Metres per second in between; less on a way too short to get there.
-        acceleration: Metres per second squared, from rest and to rest.
-        tick: Seconds; the ticks are as many as it takes, so that the speed is a little less.
-        from_rest: Whether it starts from rest and not at that speed.
-        to_rest: Whether it ends at rest and not at that speed.
+        speed: Peak speed, metres per second; lower if `distance` is too short to reach it.
+        acceleration: Of the ramps, metres per second squared.
+        tick: Seconds; the profile is stretched slightly to a whole number of ticks.
+        from_rest: Whether to start at rest rather than at `speed`.
+        to_rest: Whether to end at rest rather than at `speed`.
 
     Returns:
         [ticks + 1] metres, from 0 to `distance`.
@@ -221,7 +221,7 @@ def ramped(
     if from_rest or to_rest:
         speed = min(speed, math.sqrt(2.0 * acceleration * distance / (from_rest + to_rest)))
     ramp = speed / acceleration  # seconds
-    lost = 0.5 * speed * ramp  # metres that a ramp falls short of the same time at full speed
+    lost = 0.5 * speed * ramp  # metres lost in a ramp compared with the same time at full speed
     lasts = (distance + lost * (from_rest + to_rest)) / speed if speed > 0.0 else 0.0
     ticks = max(1, math.ceil(lasts / tick - 1e-9))
     time = lasts / ticks * np.arange(ticks + 1)
@@ -235,7 +235,7 @@ def ramped(
 
 
 class _Path:
-    """A straight tool path at one yaw, solved at waypoints; joints are linear in between."""
+    """A straight tool path at fixed yaw; joints are solved at waypoints and interpolated linearly."""
 
     def __init__(self, robot: Robot, yaw: float, origin, target, q_origin: NDArray, spacing: float):
         self.length = float(np.linalg.norm(target - origin))
@@ -258,7 +258,7 @@ class _Path:
         return here + (there - here) * (place - before)[:, None]
 
     def at(self, travelled: float) -> tuple[NDArray, NDArray]:
-        """Tool position [3] and joint positions, `travelled` metres along the path."""
+        """Tool position [3] and joint positions [drives], `travelled` metres along the path."""
         share = travelled / self.length if self.length > 0.0 else 0.0
         position = self._origin + (self._target - self._origin) * share
         return position, self.joints_at(np.array([travelled]))[0]

@@ -1,4 +1,4 @@
-"""Pictures of the table: one kept camera, the robot out of view."""
+"""Rendering of the table from a fixed camera, without the robot."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 
 from sdfgcn.sim.arena import CAMERA, GROUP_SCENE, GROUP_TABLE
 
-GEOM = int(mjtObj.mjOBJ_GEOM)  # as a number: to compare with the enum takes longer
+GEOM = int(mjtObj.mjOBJ_GEOM)  # a plain int, because comparing with the enum is slower
 IDS_AS_COLORS = {mjtRndFlag.mjRND_SEGMENT: True, mjtRndFlag.mjRND_IDCOLOR: True}
 
 
 class Renderer:
-    """Renders one compiled model from the arena's camera, again and again.
+    """Renders a compiled model from the arena's camera.
 
-    Robot, collision pieces and parked props are in groups that are not drawn.
+    The robot, collision pieces and parked props are in geom groups that are not drawn.
     """
 
     def __init__(self, physics: mjcf.Physics, size: int):
-        """Set up for square pictures of `size` pixels."""
+        """Set up for square images with sides of `size` pixels."""
         self._physics = physics
         self._rgb = _showing(GROUP_TABLE, GROUP_SCENE)
         self._props = _showing(GROUP_SCENE)
@@ -32,12 +32,12 @@ class Renderer:
         self._colors = np.zeros((size, size, 3), dtype=np.uint8)
 
     def pixels(self) -> NDArray[np.uint8]:
-        """[H, W, 3] the RGB picture."""
+        """[H, W, 3] the RGB image."""
         return self._camera.render(scene_option=self._rgb).copy()
 
     def geom_ids(self) -> NDArray[np.int64]:
-        """[H, W] the prop's geom that each pixel shows, -1 for none."""
-        # As Camera.render(segmentation=True), which takes half as long again.
+        """[H, W] the id of the prop geom at each pixel, -1 for none."""
+        # Equivalent to Camera.render(segmentation=True), which takes 50% longer.
         self._camera.update(self._props)
         scene = self._camera.scene
         with scene.override_flags(IDS_AS_COLORS), self._physics.contexts.gl.make_current() as gl:
@@ -46,18 +46,18 @@ class Renderer:
         for geom in scene.ptr.geoms[: scene.ngeom]:
             if geom.objtype == GEOM:
                 ids[geom.segid + 1] = geom.objid
-        # The colours count from 1, lowest byte first; nothing is black.
+        # Colours encode the segment id + 1, lowest byte first; black is background.
         return ids[self._colors[::-1] @ np.array([1, 2**8, 2**16])]
 
     def _render(self) -> None:
-        """Draw the scene and fetch its colours, from the bottom row up; in the OpenGL thread."""
+        """Draw the scene and read its colours, bottom row first; runs in the OpenGL thread."""
         context = self._physics.contexts.mujoco.ptr
         mujoco.mjr_render(self._rectangle, self._camera.scene.ptr, context)
         mujoco.mjr_readPixels(self._colors, None, self._rectangle, context)
 
 
 def _showing(*groups: int) -> MjvOption:
-    """What draws the geoms of these groups and nothing else."""
+    """Options that draw only the geoms of these groups."""
     option = MjvOption()
     option.geomgroup[:] = 0
     option.geomgroup[list(groups)] = 1

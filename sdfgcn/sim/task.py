@@ -19,15 +19,15 @@ from sdfgcn.sim.props import CONAFFINITY_PROP, CONTYPE_PROP, PARKING, Prop
 from sdfgcn.sim.push import PushPrimitive
 from sdfgcn.task.world import PushCommand, PushResult
 
-READY_TO_SLEEP = -1  # to which MuJoCo counts tree_asleep up while a tree lies still
-SETTLE_STEPS = 5  # simulation steps between two looks at whether the props are at rest
+READY_TO_SLEEP = -1  # MuJoCo increments tree_asleep up to this value while a tree is still
+SETTLE_STEPS = 5  # simulation steps between checks whether the props are at rest
 
 
 class RearrangementTask(composer.Task):
-    """The props of an episode on the table, and a robot that pushes them (paper section IV).
+    """An episode's props on the table and a robot that pushes them (paper section IV).
 
-    Composer builds, compiles and resets it. `begin` hands over the episode before each reset;
-    `execute` runs a push. What a push is worth is the environment's to say.
+    Composer builds, compiles and resets the task. Call `begin` with an episode before each reset;
+    `execute` runs a push. Rewards are computed by the environment.
     """
 
     def __init__(self, config: EnvConfig, catalogue: Sequence[ObjectModel]):
@@ -38,7 +38,7 @@ class RearrangementTask(composer.Task):
         self._table.attach(self.robot)
         self._props = [Prop(model=model, physics=config.physics) for model in catalogue]
         for i, prop in enumerate(self._props):
-            # Parked from the start: props piled up at the origin would all be in contact.
+            # Start parked: props piled up at the origin would all be in contact.
             self._table.add_free_entity(prop).pos = PARKING + np.array([0.5 * i, 0.0, 0.0])
         self._primitive = PushPrimitive(config.push, config.arena, self.robot)
         self.control_timestep = config.physics.timestep
@@ -50,7 +50,7 @@ class RearrangementTask(composer.Task):
         return self._table
 
     def after_compile(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
-        """Look up where each prop lives in the compiled model."""
+        """Look up the addresses of the props in the compiled model."""
         del random_state
         joints = [mjcf.get_frame_freejoint(prop.mjcf_model) for prop in self._props]
         bodies = [mjcf.get_attachment_frame(prop.mjcf_model) for prop in self._props]
@@ -70,7 +70,7 @@ class RearrangementTask(composer.Task):
         self.slot_of_geom = np.full(physics.model.ngeom + 1, -1)
 
     def begin(self, episode: EpisodeSpec) -> None:
-        """Set the episode that the next reset starts."""
+        """Set the episode for the next reset."""
         self._episode = episode
 
     @property
@@ -85,7 +85,7 @@ class RearrangementTask(composer.Task):
     def initialize_episode(
         self, physics: mjcf.Physics, random_state: np.random.RandomState
     ) -> None:
-        """Park what is not in the episode, place the rest at the start and let it settle."""
+        """Place the episode's props at their start, let them settle, and park the others."""
         del random_state
         self._dress(physics)
         self.set_poses(physics, self.episode.start, resting=False)
@@ -95,8 +95,8 @@ class RearrangementTask(composer.Task):
     def _dress(self, physics: mjcf.Physics) -> None:
         """Show and colour the episode's props; park the others.
 
-        A parked prop is hidden, touches nothing and sleeps from the start, so that it costs
-        next to nothing however large the catalogue is.
+        Parked props are hidden, cannot collide and sleep from the start, so that they cost almost
+        nothing however large the catalogue is.
         """
         model, chosen = physics.model, self.episode.objects
         active = np.zeros(len(self._props), dtype=bool)
@@ -117,7 +117,7 @@ class RearrangementTask(composer.Task):
         self.slot_of_geom[self._visuals[chosen]] = np.arange(len(chosen))
 
     def get_reward(self, physics: mjcf.Physics) -> float:
-        """Composer asks for it; the reward is the environment's (`sdfgcn.envs.reward`)."""
+        """Required by composer; the environment computes the reward (`sdfgcn.envs.reward`)."""
         del physics
         return 0.0
 
@@ -126,12 +126,11 @@ class RearrangementTask(composer.Task):
     def execute(self, physics: mjcf.Physics, command: PushCommand) -> PushResult:
         """Push, and let the props come to rest.
 
-        The simulation is left in a state that follows from the props' poses alone: velocities,
-        warm starts and sleep are cleared, so that the next push depends on nothing that a saved
-        pose does not hold.
+        The final simulation state depends on the props' poses alone: velocities, warm starts and
+        sleep are cleared, so that restoring saved poses restores the state.
         """
         options = physics.model.opt
-        options.noslip_iterations = 0  # not while the tool moves: see conf/env/rearrangement.yaml
+        options.noslip_iterations = 0  # off while the tool moves, see conf/env/rearrangement.yaml
         result = self._primitive.execute(physics, command)
         options.noslip_iterations = self._config.physics.noslip_iterations
         if result.status != "unreachable":
@@ -146,26 +145,26 @@ class RearrangementTask(composer.Task):
     # ------------------------------------------------------------------ placing and settling
 
     def set_poses(self, physics: mjcf.Physics, poses: NDArray, resting: bool = True) -> None:
-        """Put the episode's objects at [n, 7] poses, without velocity, the robot at home.
+        """Place the episode's objects at [n, 7] poses, without velocity, with the robot at home.
 
         Args:
             physics: Changed in place.
             poses: xyz in metres, quaternion w, x, y, z.
-            resting: Whether the objects are known to lie still there. Then they fall asleep at
-                the first step that finds them so, and not after MuJoCo's ten.
+            resting: Whether the objects are known to be at rest in these poses. If so, they fall
+                asleep at the first step without motion instead of after MuJoCo's ten.
         """
-        # Not physics.reset(): that runs the whole forward pass once more.
+        # Not physics.reset(), which runs the whole forward pass again.
         mujoco.mj_resetData(physics.model.ptr, physics.data.ptr)
         physics.data.qpos[self._qpos[self.episode.objects]] = poses
         if resting:
             physics.data.tree_asleep[self._trees[self.episode.objects]] = READY_TO_SLEEP
         self.robot.place(physics, self.robot.home)
-        # As much of the forward pass as a picture needs; the next step does all of it.
+        # Only the part of the forward pass that rendering needs; the next step does the rest.
         mujoco.mj_kinematics(physics.model.ptr, physics.data.ptr)
         mujoco.mj_camlight(physics.model.ptr, physics.data.ptr)
 
     def _settle(self, physics: mjcf.Physics) -> None:
-        """Step until every prop sleeps, which is to say lies still; at most `settle_seconds`."""
+        """Step until every prop sleeps, for at most `settle_seconds`."""
         config = self._config.physics
         model, data = physics.model.ptr, physics.data.ptr
         trees = self._trees[self.episode.objects]

@@ -1,4 +1,4 @@
-"""The simulated world: task, composer and renderer put together, once."""
+"""The simulated world: combines task, composer environment and renderer."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ class MujocoWorld:
     """A `sdfgcn.task.world.World` in MuJoCo.
 
     Attributes:
-        camera: Takes every picture.
+        camera: Model of the one camera.
         catalogue: The objects that episodes are drawn from.
         task: The composer task.
         physics: The compiled model and its state.
-        renderer: Takes the pictures.
-        truth: The running episode's objects, their colours and true goals.
+        renderer: Renders the world.
+        truth: The current episode's objects, their colours and true goal poses.
     """
 
     def __init__(self, config: EnvConfig, catalogue: Sequence[ObjectModel] | None = None) -> None:
-        """Compile the world, of the objects that the config names if no catalogue is given.
+        """Compile the world; without a catalogue, load the one named in the config.
 
         Raises:
-            SdfgcnError: The catalogue cannot be had.
+            SdfgcnError: The catalogue cannot be loaded.
         """
         self._config = config
         if catalogue is None:
@@ -60,29 +60,29 @@ class MujocoWorld:
 
     @property
     def renderer(self) -> Renderer:
-        """Takes pictures of the world as it is."""
+        """Renders the world in its current state."""
         if self._renderer is None:
             self._renderer = Renderer(self.physics, self._config.arena.image_size)
         return self._renderer
 
     @property
     def n_objects(self) -> int:
-        """Objects of the running episode."""
+        """Number of objects in the current episode."""
         return len(self.task.episode.objects)
 
     # ------------------------------------------------------------------ episodes
 
     def reset(self, seed: int, n_objects: int) -> None:
-        """Begin the episode that the seed stands for.
+        """Begin the episode drawn from the seed.
 
         Raises:
-            SdfgcnError: Its scenario cannot be had with these objects, or nothing fitted.
+            SdfgcnError: The episode cannot be drawn, see `draw_episode`.
         """
         config = replace(self._config, n_objects=n_objects)
         self.begin(draw_episode(seed, self.catalogue, config))
 
     def begin(self, episode: EpisodeSpec) -> None:
-        """Begin any episode of objects of the catalogue."""
+        """Begin a given episode with objects of the catalogue."""
         self.task.begin(episode)
         self._environment.reset()
         self.truth = Truth(
@@ -92,7 +92,7 @@ class MujocoWorld:
         )
 
     def save_state(self) -> dict[str, Any]:
-        """The episode and where its objects are, as JSON knows it."""
+        """The episode and its objects' poses, as JSON-compatible data."""
         episode = {
             key: value.tolist() if isinstance(value, np.ndarray) else value
             for key, value in asdict(self.task.episode).items()
@@ -100,7 +100,7 @@ class MujocoWorld:
         return {"episode": episode, "poses": self.poses().tolist()}
 
     def restore_state(self, state: dict[str, Any]) -> None:
-        """Go back to a saved state, also one of another world with the same config."""
+        """Restore a state saved by this or another world with the same config."""
         episode: dict[str, Any] = {
             key: np.array(value) if isinstance(value, list) else value
             for key, value in state["episode"].items()
@@ -111,15 +111,15 @@ class MujocoWorld:
     # ------------------------------------------------------------------ looking and pushing
 
     def look(self) -> MujocoView:
-        """The table as it is."""
+        """View the current table."""
         return MujocoView(self)
 
     def look_at_goal(self) -> MujocoView:
-        """The goal: its pictures are taken with the objects put there, and put back."""
+        """View the goal; it is rendered by temporarily moving the objects there."""
         return MujocoView(self, self.task.episode.goal)
 
     def execute(self, command: PushCommand) -> PushResult:
-        """Push, and wait until everything lies still."""
+        """Push, and wait until everything is at rest."""
         return self.task.execute(self.physics, command)
 
     def poses(self) -> NDArray[np.float64]:
@@ -128,7 +128,7 @@ class MujocoWorld:
 
     @contextmanager
     def objects_at(self, poses: NDArray[np.float64]) -> Iterator[None]:
-        """Put the objects at [n, 7] poses for a while, and back."""
+        """Temporarily place the objects at [n, 7] poses."""
         before = self.poses()
         self.task.set_poses(self.physics, poses)
         try:
@@ -137,28 +137,28 @@ class MujocoWorld:
             self.task.set_poses(self.physics, before)
 
     def close(self) -> None:
-        """Free the model and the picture's context."""
+        """Free the model and the rendering context."""
         self._environment.close()
 
 
 class MujocoView:
-    """One moment of a `MujocoWorld`; rendered when it is asked for, and only once."""
+    """A lazily rendered view of a `MujocoWorld`; the RGB image is cached."""
 
     def __init__(self, world: MujocoWorld, poses: NDArray[np.float64] | None = None) -> None:
-        """Look at the objects as they are, or as they would be at [n, 7] poses."""
+        """View the objects in their current poses, or at the given [n, 7] poses."""
         self._world = world
         self._poses = poses
         self._pixels: NDArray[np.uint8] | None = None
 
     def pixels(self) -> NDArray[np.uint8]:
-        """[H, W, 3] the RGB picture."""
+        """[H, W, 3] the RGB image."""
         if self._pixels is None:
             with self._there():
                 self._pixels = self._world.renderer.pixels()
         return self._pixels
 
     def true_masks(self) -> NDArray[np.bool_]:
-        """[n, H, W] one mask per object, by the renderer's segmentation."""
+        """[n, H, W] one mask per object, from the renderer's segmentation."""
         with self._there():
             geoms = self._world.renderer.geom_ids()
         slots = np.arange(self._world.n_objects)

@@ -1,1 +1,1 @@
-"""Where objects come from: each module here registers a source of that name."""
+"""Object sources; each module registers a source of the same name."""

@@ -1,4 +1,4 @@
-"""Scanned objects from the myosuite wheel: YCB meshes, which have textures, and object_sim ones."""
+"""Scanned objects from the myosuite wheel: textured YCB meshes and untextured object_sim ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sdfgcn.objects.meshes import decimate, weld
 from sdfgcn.objects.model import Recipe, Shape, Source
 from sdfgcn.registry import OBJECTS
 
-# Category -> names, per split; no category is in both.
+# Category -> names, per split; the splits share no category.
 TRAIN: dict[str, tuple[str, ...]] = {
     "box": ("003_cracker_box", "004_sugar_box", "008_pudding_box", "009_gelatin_box"),
     "squeeze_bottle": ("006_mustard_bottle",),
@@ -43,13 +43,13 @@ TEST: dict[str, tuple[str, ...]] = {
     "toy": ("airplane", "train", "duck", "elephant", "stanfordbunny", "piggybank"),
 }  # fmt: skip
 
-# Concave meshes that come with a single hull -> how many convex pieces to cut them into.
+# Concave meshes supplied with at most one hull -> number of convex pieces to cut them into.
 SLICES = {"035_power_drill": 10, "train": 8, "alarmclock": 8}
-SLICED_FACES = 4000  # as fine as needed to follow the outline within 2 mm
+SLICED_FACES = 4000  # fine enough to follow the outline within 2 mm
 
 
 def recipes(cfg: ObjectsConfig) -> list[Recipe]:
-    """Fetch the scans if need be and return the recipes of all 32 train and 16 test objects.
+    """Fetch the scans if needed and return the recipes of all 32 train and 16 test objects.
 
     Raises:
         SdfgcnError: The scans are neither cached nor downloadable.
@@ -67,10 +67,10 @@ OBJECTS.register("scanned")(Source(recipes))
 
 
 def read_scan(folder: Path, name: str, cfg: ObjectsConfig) -> Shape:
-    """Read one object; a name that starts with a digit is one of YCB's.
+    """Read one object; names that start with a digit are from YCB.
 
     Raises:
-        SdfgcnError: A file is missing or cut short.
+        SdfgcnError: A file is missing or truncated.
     """
     try:
         if name[0].isdigit():
@@ -110,7 +110,7 @@ def read_stl(path: Path) -> NDArray[np.float64]:
     """Read a binary STL file as triangles [F, 3, 3].
 
     Raises:
-        ValueError: The file is shorter or longer than its header says.
+        ValueError: The file length does not match the header.
     """
     content = path.read_bytes()
     count = int.from_bytes(content[80:84], "little")
@@ -124,7 +124,7 @@ def read_msh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDAr
     """Read MuJoCo's binary mesh format: vertices [V, 3], uv [V, 2] and faces [F, 3].
 
     Raises:
-        ValueError: The file is shorter or longer than its header says, or has no uv.
+        ValueError: The file length does not match the header, or there is no uv.
     """
     content = path.read_bytes()
     counts = np.frombuffer(content, "<i4", 4) if len(content) >= 16 else np.zeros(4, int)
@@ -141,10 +141,10 @@ def read_msh(path: Path) -> tuple[NDArray[np.float64], NDArray[np.float64], NDAr
 
 
 def shrink_texture(png: bytes, size: int) -> NDArray[np.uint8]:
-    """Return a texture atlas as square RGB, uint8 [size, size, 3].
+    """Return a PNG texture atlas as square RGB, uint8 [size, size, 3].
 
-    The black between the atlas's islands is filled with the nearest colour. Otherwise it would
-    bleed into the islands as they shrink and leave dark seams on the object.
+    The black between the atlas's islands is filled with the nearest colour; otherwise it would
+    bleed into the shrunken islands and leave dark seams on the object.
     """
     with Image.open(io.BytesIO(png)) as image:
         full = image.convert("RGB")

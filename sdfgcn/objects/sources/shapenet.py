@@ -1,11 +1,11 @@
-"""A user's own directory of meshes: ShapeNetCore, ShapeNetSem, or any folder of OBJ, GLB, STL.
+"""Meshes from a user's directory: ShapeNetCore, ShapeNetSem, or any folder of OBJ, GLB or STL.
 
-The layout is recognised by each file's path below `env.objects.root`:
+The layout is recognised from each file's path relative to `env.objects.root`:
 
-* `<synset>/<id>/models/model_normalized.obj` (ShapeNetCore): category = synset, by name if the
-  root holds `taxonomy.json`.
-* `models/<id>.obj` or a plain folder (ShapeNetSem): category from `metadata.csv` if there is one,
-  else every mesh is a category of its own.
+* `<synset>/<id>/models/model_normalized.obj` (ShapeNetCore): category = synset, or its name if
+  the root contains `taxonomy.json`.
+* `models/<id>.obj` or a plain folder (ShapeNetSem): category from `metadata.csv` if present,
+  otherwise each mesh is its own category.
 * `<category>/.../<name>.obj`: category = first folder.
 """
 
@@ -36,7 +36,7 @@ from sdfgcn.objects.storage import cache_dir, new_folder
 from sdfgcn.registry import OBJECTS
 
 SUFFIXES = (".obj", ".glb", ".stl")
-TEST_SHARE = 1 / 3  # of the categories, where no split file says otherwise
+TEST_SHARE = 1 / 3  # of the categories, without a split file
 
 
 @dataclass
@@ -45,7 +45,7 @@ class ShapenetConfig(ObjectsConfig):
 
     Attributes:
         root: The directory of meshes.
-        split_file: YAML file with the lists train and test; None splits by category or name.
+        split_file: YAML file with the lists train and test; None to split by category or name.
     """
 
     root: str | None = None
@@ -66,8 +66,8 @@ def recipes(cfg: ShapenetConfig) -> list[Recipe]:
     """Return a recipe for every mesh that belongs to a split.
 
     Raises:
-        SdfgcnError: The extra [meshes] is not installed, the directory is missing or holds no
-            mesh, or the split file is wrong.
+        SdfgcnError: The extra [meshes] is not installed, the directory is missing or contains no
+            mesh, or the split file is invalid.
     """
     trimesh, coacd = _library("trimesh"), _library("coacd")
     coacd.set_log_level("error")
@@ -97,7 +97,7 @@ def find_meshes(root: Path) -> list[MeshFile]:
     """List the meshes below `root`, sorted by path.
 
     Raises:
-        SdfgcnError: There is none.
+        SdfgcnError: There are none.
     """
     paths = sorted(path for path in root.rglob("*") if path.suffix.lower() in SUFFIXES)
     if not paths:
@@ -117,10 +117,10 @@ def find_meshes(root: Path) -> list[MeshFile]:
 
 
 def divided(files: list[MeshFile]) -> list[str]:
-    """Split without a split file: a third of the categories is held out for testing.
+    """Assign splits without a split file: a third of the categories is held out for testing.
 
-    Which third depends only on the hashes of the category names. If there is only one category,
-    its meshes are divided in the same way by their own names.
+    The third is chosen by the hashes of the category names. If there is only one category, its
+    meshes are split the same way by their own names.
     """
     one_category = len({file.category for file in files}) == 1
     keys = [file.name if one_category else file.category for file in files]
@@ -191,10 +191,10 @@ def _split_text(split_file: str) -> str:
 
 
 def _listed(files: list[MeshFile], split_file: str) -> list[str | None]:
-    """Split by a YAML file: lists `train` and `test` of names, paths below the root or categories.
+    """Assign splits by a YAML file that lists names, relative paths or categories per split.
 
     Returns:
-        One split per file; None for a file that is not listed.
+        One split per file, None for unlisted files.
     """
     try:
         lists = OmegaConf.to_container(OmegaConf.create(_split_text(split_file)))
@@ -241,17 +241,17 @@ def _read(file: MeshFile, cfg: ObjectsConfig, trimesh: ModuleType, coacd: Module
         ConvexHull(vertices)  # raises for a flat mesh
         uv, texture = _texture(mesh, cfg.texture_size)
         pieces = _decomposed(vertices, faces, cfg.max_pieces, coacd)
-    except Exception as error:  # trimesh's readers raise all sorts of errors
+    except Exception as error:  # trimesh's readers raise many kinds of errors
         reason = "it is flat" if isinstance(error, QhullError) else str(error).splitlines()[:1]
         reason = reason if isinstance(reason, str) else "".join(reason) or type(error).__name__
         raise SdfgcnError(f"The mesh {file.path} cannot be used ({reason}).") from error
-    # ShapeNet's meshes have no unit, so the size is drawn, by name, from the allowed range.
+    # ShapeNet's meshes have no unit, so the size is drawn from the allowed range, seeded by name.
     footprint = name_generator(file.name).uniform(cfg.footprint_min, cfg.footprint_max)
     return Shape(vertices, faces, pieces, uv, texture, footprint)
 
 
 def _texture(mesh: Any, size: int) -> tuple[NDArray | None, NDArray[np.uint8] | None]:
-    """The mesh's uv (with v flipped, see `ObjectModel`) and texture, or None for both."""
+    """The mesh's uv (with v flipped, see `ObjectModel`) and texture, or (None, None)."""
     material = getattr(mesh.visual, "material", None)
     image = getattr(material, "baseColorTexture", None) or getattr(material, "image", None)
     uv = getattr(mesh.visual, "uv", None)
@@ -264,13 +264,13 @@ def _texture(mesh: Any, size: int) -> tuple[NDArray | None, NDArray[np.uint8] | 
 def _decomposed(
     vertices: NDArray, faces: NDArray, max_pieces: int, coacd: ModuleType
 ) -> tuple[NDArray, ...]:
-    """Convex pieces by CoACD, cached by the mesh's content because they take seconds to minutes."""
+    """Convex pieces by CoACD, which takes seconds to minutes; cached by the mesh's content."""
     content = vertices.tobytes() + faces.tobytes() + str(max_pieces).encode()
     folder = cache_dir() / "decompositions" / hashlib.sha256(content).hexdigest()[:32]
     if not folder.is_dir():
         parts = coacd.run_coacd(
             coacd.Mesh(vertices, faces),
-            threshold=0.08,  # concavity allowed; a lower value gives more and smaller pieces
+            threshold=0.08,  # allowed concavity; lower values give more, smaller pieces
             max_convex_hull=max_pieces,
             preprocess_resolution=30,
             mcts_iterations=60,

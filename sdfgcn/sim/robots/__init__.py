@@ -1,1 +1,1 @@
-"""Robots that execute the push: a file for each option of the config group `robot`."""
+"""Robots that execute the push, one module per option of the config group `robot`."""

@@ -1,4 +1,4 @@
-"""The gripper alone, floating and position-driven: the fast robot for training."""
+"""A floating, position-driven gripper: the fast robot for training."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 
 @dataclass
 class GripperConfig(RobotConfig):
-    """The drives' stiffness and force."""
+    """Stiffness and force limit of the drives."""
 
     stiffness: float = positive()
     yaw_stiffness: float = positive()
@@ -28,7 +28,7 @@ class GripperConfig(RobotConfig):
 class FloatingGripper(Robot):
     """A 2F-85 on three slides and a vertical hinge with stiff position drives."""
 
-    teleports = True  # where it touches nothing, simulating its way would only cost time
+    teleports = True  # simulating a free descent would only cost time
 
     def _build(self, config: GripperConfig) -> None:
         self._config = config
@@ -40,7 +40,7 @@ class FloatingGripper(Robot):
         ]
         self._joints.append(carriage.add("joint", name="yaw", type="hinge", axis=[0, 0, 1]))
         prepare(self._root)
-        # Pointing down: turned by half a turn about x.
+        # Half a turn about x, to point down.
         mount = carriage.add("site", name="mount", pos=[0, 0, TCP_OFFSET], quat=[0, 1, 0, 0])
         self.gripper = load_fixed_gripper()
         mount.attach(self.gripper)
@@ -60,6 +60,6 @@ class FloatingGripper(Robot):
         ]
 
     def solve(self, pose: NDArray, near: NDArray | None = None) -> NDArray:
-        """Joint positions are the pose itself; everything is within reach."""
+        """Return the pose itself, which equals the joint positions; every pose is reachable."""
         del near
         return np.asarray(pose, dtype=np.float64)

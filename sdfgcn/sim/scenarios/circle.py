@@ -12,10 +12,10 @@ from sdfgcn.task.region import Region
 
 @SCENARIOS.register("circle")
 class Circle(Scenario):
-    """Objects end up evenly spread on a circle, the smallest that holds them, in random order."""
+    """The goal spaces the objects evenly, in random order, on the smallest circle that fits them."""
 
     def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
-        """A uniform start; the goal circle lies at a random place with a random phase."""
+        """Draw a uniform start and a goal circle with random position and phase."""
         start = self.anywhere(rng, situation.start)
         n = situation.n
         order = rng.permutation(n)
@@ -32,7 +32,7 @@ class Circle(Scenario):
             raise NoRoom
         goal = np.empty_like(start)
         goal[order] = ring + rng.uniform(low, high)
-        # Neighbours fit by construction; opposite ones may still be too large.
+        # Neighbours fit by construction; opposite objects may still be too close.
         if not is_free(goal, situation.goal, self.spacing):
             raise NoRoom
         return Layout(start, goal)

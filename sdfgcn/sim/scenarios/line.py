@@ -12,10 +12,10 @@ from sdfgcn.task.region import Region
 
 @SCENARIOS.register("line")
 class Line(Scenario):
-    """Objects end up side by side on a line of random slope and place, in random order."""
+    """The goal puts the objects in random order on a line with random slope and position."""
 
     def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
-        """A uniform start; neighbours on the goal line stand as close as the rules allow."""
+        """Draw a uniform start and a goal line as tightly spaced as the rules allow."""
         start = self.anywhere(rng, situation.start)
         order = rng.permutation(situation.n)
         radii = situation.goal_radii[order]

@@ -11,8 +11,8 @@ from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 
 @SCENARIOS.register("random")
 class Random(Scenario):
-    """Every object somewhere, to be brought somewhere else."""
+    """Start and goal are unrelated."""
 
     def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
-        """Start and goal, independent of each other."""
+        """Draw start and goal independently."""
         return Layout(self.anywhere(rng, situation.start), self.anywhere(rng, situation.goal))

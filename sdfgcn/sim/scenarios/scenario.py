@@ -1,4 +1,4 @@
-"""What a scenario is: a rule that draws start and goal layouts."""
+"""Base class of scenarios, which draw start and goal layouts."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from sdfgcn.task.region import Region
 
 @dataclass(frozen=True)
 class Situation:
-    """What a scenario may know of the n objects.
+    """What a scenario knows about the n objects.
 
     Attributes:
-        start: n footprints, turned as they will lie at the start.
-        goal: n footprints, turned as they will lie at the goal.
+        start: n footprints in their start orientations.
+        goal: n footprints in their goal orientations.
         categories: n category names.
     """
 
@@ -36,16 +36,16 @@ class Situation:
 
     @property
     def goal_radii(self) -> NDArray[np.float64]:
-        """[n] bounding circles of the goal footprints around their origins, metres."""
+        """[n] radii of the goal footprints' bounding circles about their origins, metres."""
         return np.array([hausdorff_distance(Point(0, 0), shape) for shape in self.goal])
 
 
 class Scenario(abc.ABC):
-    """Draws layouts. Without state: everything random comes from the generator passed in."""
+    """Draws layouts; stateless, all randomness comes from the generator passed in."""
 
     least_objects = 1
-    same_category = False  # whether episodes should hold several objects of one category
-    same_yaw = False  # whether objects lie at the goal as they lie at the start
+    same_category = False  # whether episodes should contain several objects of one category
+    same_yaw = False  # whether objects have the same yaw at the start and the goal
 
     def __init__(self, config: ScenarioConfig, arena: ArenaConfig):
         self.config = config
@@ -57,7 +57,7 @@ class Scenario(abc.ABC):
         """Draw a layout.
 
         Raises:
-            NoRoom: It did not fit; the caller draws other objects and tries again.
+            NoRoom: The objects did not fit; the caller draws other objects and tries again.
         """
 
     def anywhere(self, rng: np.random.Generator, shapes: Sequence[Polygon]) -> NDArray[np.float64]:

@@ -12,16 +12,16 @@ from sdfgcn.task.region import Region
 
 @SCENARIOS.register("sort")
 class Sort(Scenario):
-    """Each category gets a strip of the table of its own, left to right in random order."""
+    """Each category gets its own strip of the table; the strips are in random order."""
 
     same_category = True
 
     def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
-        """A uniform start; the goal is uniform within each category's strip."""
+        """Draw a uniform start and a goal that is uniform within each category's strip."""
         start = self.anywhere(rng, situation.start)
         names = sorted(set(situation.categories))
         order = rng.permutation(len(names))
-        # A strip is as wide as its share of the objects.
+        # A strip's width is proportional to its number of objects.
         counts = np.array([situation.categories.count(names[i]) for i in order])
         spawn = Region.spawn(self.arena)
         edges = spawn.low[0] + np.concatenate([[0.0], np.cumsum(counts) / situation.n]) * (
