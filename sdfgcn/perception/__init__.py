@@ -1,1 +1,1 @@
-"""From a picture to masks, signed distance fields and positions."""
+"""Perception: from images to object masks and signed distance fields."""

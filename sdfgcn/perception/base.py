@@ -1,4 +1,4 @@
-"""What a perception is: from a picture to rows of masks, each matched with the goal's row."""
+"""Base class of perceptions, which turn images into rows of masks matched with goal rows."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from sdfgcn.task.world import View
 
 
 class Perception(abc.ABC):
-    """Sees the goal once an episode, then one picture after the other.
+    """Sees the goal once per episode, then the current scene at each step.
 
-    Each detected object has a row, and keeps it from picture to picture as far as that can be
-    seen. Row i of a picture and row i of the goal show the same object where they are matched. The
-    mask of a row without a detected object is all false.
+    Each detected object has a row, which it keeps from image to image as far as it can be
+    recognised. Matched rows i of the scene and the goal show the same object. The mask of a row
+    without a detected object is all false.
     """
 
-    rows_are_slots = False  # whether row i is by construction the episode's object i
+    rows_are_slots = False  # whether row i is always the episode's object i
 
     def __init__(self, config: PerceptionConfig, max_objects: int):
-        """Load what it takes; `max_objects` is the most rows it may return."""
+        """Set up; `max_objects` is the maximum number of rows."""
         self.config = config
         self.max_objects = max_objects
 
     @abc.abstractmethod
     def see_goal(self, view: View) -> NDArray[np.bool_]:
-        """[n, H, W] the goal's masks; begins an episode."""
+        """Begin an episode; return the goal's masks [n, H, W]."""
 
     @abc.abstractmethod
     def see(self, view: View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Find the objects and match them with the goal's.
+        """Detect the objects and match them with the goal's.
 
         Returns:
-            [k, H, W] masks, and [k] for each row whether it is matched with the goal's row.
+            [k, H, W] masks, and [k] whether each row is matched with its goal row.
         """
 
 

@@ -1,7 +1,7 @@
-"""Which current mask is which goal mask, by what they look like (paper section V A).
+"""Match current masks with goal masks by appearance (paper section V A).
 
-Objects are a few pixels across and turned at will. So each mask's patch is turned evenly and the
-features are averaged over the turns: then both pictures' features compare by plain distance.
+Objects are a few pixels across and arbitrarily rotated. The features of each mask's patch are
+therefore averaged over evenly spaced rotations, so that they can be compared by plain distance.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from sdfgcn.config import EncoderConfig
 from sdfgcn.perception.encoders.encoder import IMAGENET_MEAN, IMAGENET_STD
 from sdfgcn.registry import ENCODERS
 
-KEPT_FEATURES = 512  # objects' features that a matcher remembers, a kilobyte each
+KEPT_FEATURES = 512  # feature vectors that a matcher caches, a kilobyte each
 _MEAN = np.array(IMAGENET_MEAN, dtype=np.float32)
 _STD = np.array(IMAGENET_STD, dtype=np.float32)
 
 
 class Matcher:
-    """Features of masked patches, and the assignment of least total distance.
+    """Computes features of masked patches and the assignment of least total distance.
 
-    Features follow from the patch alone, whatever else the picture shows, wherever the object
-    lies, and whether or not they were remembered.
+    Features depend on the patch alone, not on the rest of the image, the object's position or
+    the cache.
     """
 
     def __init__(self, config: EncoderConfig) -> None:
         """Load the encoder.
 
         Raises:
-            SdfgcnError: There is no such encoder, or its weights cannot be had.
+            SdfgcnError: There is no such encoder, or its weights cannot be loaded.
         """
         self._config = config
         self._encoder = ENCODERS.find(config.name)(config)
@@ -45,12 +45,12 @@ class Matcher:
         self._remembered = functools.lru_cache(maxsize=KEPT_FEATURES)(self._encode)
 
     def features(self, pixels: NDArray[np.uint8], masks: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """What each of the [m, H, W] masked objects of a picture [H, W, 3] looks like.
+        """Appearance features of the objects under masks [m, H, W] of an image [H, W, 3].
 
-        An object that looks as it did before is not encoded again.
+        Objects whose appearance is unchanged come from the cache.
 
         Returns:
-            [m, F]; zero for a mask without pixels.
+            [m, F]; zero for an empty mask.
         """
         rows = [self._feature(pixels, mask) for mask in masks]
         return np.stack(rows) if rows else np.zeros((0, self.n_features), dtype=np.float32)
@@ -58,13 +58,12 @@ class Matcher:
     def match(
         self, features: NDArray[np.float32], goal_features: NDArray[np.float32]
     ) -> NDArray[np.int64]:
-        """Assign goal objects [n, F] to current ones [m, F] by least total L2 distance.
+        """Assign current objects [m, F] to goal objects [n, F] by least total L2 distance.
 
-        The assignment is found by the Hungarian algorithm.
+        Uses the Hungarian algorithm.
 
         Returns:
-            [m] for each current object the goal's row, none twice; -1 for none. The smaller of
-            m and n objects are matched.
+            [m] distinct goal rows, -1 for unmatched objects; min(m, n) objects are matched.
         """
         correspondence = np.full(len(features), -1, dtype=np.int64)
         if len(features) and len(goal_features):
@@ -85,7 +84,7 @@ class Matcher:
         box = (slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
         inside = mask[box]
         patch = np.where(inside[..., None], pixels[box], 0).astype(np.uint8)
-        # Bytes, so that the patch can be looked up. Where it lies is no part of them.
+        # Bytes serve as the cache key, which excludes the position.
         return self._remembered(
             patch.tobytes(), np.packbits(inside).tobytes(), inside.shape, mask.shape[0]
         )
@@ -93,19 +92,19 @@ class Matcher:
     def _encode(
         self, patch: bytes, packed: bytes, shape: tuple[int, int], height: int
     ) -> NDArray[np.float32]:
-        """The features of one object.
+        """The features [F] of one object.
 
         Args:
-            patch: uint8 [h, w, 3], its bounding box.
-            packed: The box's mask, bool [h, w], as bits.
+            patch: Its bounding box, uint8 [h, w, 3].
+            packed: The mask of the box, bool [h, w], packed to bits.
             shape: (h, w).
-            height: Of the whole picture, pixels.
+            height: Height of the whole image, pixels.
         """
         rgb = np.frombuffer(patch, dtype=np.uint8).reshape(*shape, 3).astype(np.float32) / 255.0
         bits = np.unpackbits(np.frombuffer(packed, dtype=np.uint8), count=shape[0] * shape[1])
         mask = bits.reshape(shape).astype(bool)
         pictures, masks = self._turned(rgb, mask, self._config.patch * height)
-        # Each stage counts alike; the mean over the turns is the same for the turned object.
+        # Normalising weighs all stages equally; the mean over rotations is rotation-invariant.
         stages = [normalize(stage.mean(dim=0), dim=0) for stage in self._encoder(pictures, masks)]
         color = self._config.color_weight * torch.from_numpy(rgb[mask].mean(axis=0))
         feature = torch.cat([*stages, color]).numpy()
@@ -115,18 +114,18 @@ class Matcher:
     def _turned(
         self, rgb: NDArray[np.float32], mask: NDArray[np.bool_], side: float
     ) -> tuple[Tensor, Tensor]:
-        """Enlarge the object around its centroid, once for each turn, on an empty background.
+        """Rotate and enlarge the object about its centroid, once per rotation.
 
-        All objects are enlarged alike, since size tells them apart. The background is ImageNet's
-        mean colour.
+        All objects are enlarged by the same factor, since size distinguishes them. The background
+        is ImageNet's mean colour.
 
         Args:
             rgb: [h, w, 3], 0 to 1.
             mask: [h, w].
-            side: Of the square of the picture that becomes the network's input, pixels.
+            side: Side of the image square that becomes the network's input, pixels.
 
         Returns:
-            float32 [R, 3, S, S] normalised pictures and [R, 1, S, S] masks.
+            float32 [R, 3, S, S] normalised images and [R, 1, S, S] masks.
         """
         normalised = (rgb - _MEAN) / _STD
         layers = np.dstack([normalised, np.ones_like(mask)]) * mask[..., None]
@@ -141,10 +140,10 @@ class Matcher:
 
 
 def _offsets(size: int, turns: Tensor, tilt: float) -> Tensor:
-    """[R, S, S, 2] where each pixel of the turned input samples, as a share of the patch's side.
+    """[R, S, S, 2] sampling offsets of the rotated input's pixels, in units of the patch's side.
 
-    The camera sees the table foreshortened along v by the cosine of its tilt. Turning happens on
-    the table, so that flat objects keep their shape.
+    The table appears foreshortened along v by the cosine of the camera's tilt. Rotation takes
+    place in the table plane, so that flat objects keep their shape.
     """
     steps = (torch.arange(size, dtype=torch.float64) + 0.5) / size - 0.5
     y, x = torch.meshgrid(steps, steps, indexing="ij")

@@ -1,4 +1,4 @@
-"""True masks, matched by identity: for fast training, and as an upper bound."""
+"""True masks, matched by identity: for fast training and as an upper bound."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from sdfgcn.task.world import View
 
 @PERCEPTIONS.register("oracle")
 class OraclePerception(Perception):
-    """Row i is the episode's object i, in both pictures."""
+    """Row i is the episode's object i, in the scene and in the goal."""
 
     rows_are_slots = True
 
@@ -21,6 +21,6 @@ class OraclePerception(Perception):
         return view.true_masks()
 
     def see(self, view: View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """[n, H, W] the true masks, all of them matched."""
+        """The true masks [n, H, W], all matched."""
         masks = view.true_masks()
         return masks, np.ones(len(masks), dtype=bool)

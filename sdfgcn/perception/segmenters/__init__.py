@@ -1,6 +1,6 @@
-"""Segmenters: from an RGB picture to object masks, by `segmentation=` in the config.
+"""Segmenters, from RGB images to object masks (`segmentation=NAME`).
 
-A segmenter is made from its config and called with a picture [H, W, 3] uint8; it returns disjoint
-masks [m, H, W] bool without the background, in any order, m = 0 included. The same picture gives
-the same masks.
+A segmenter is constructed from its config and called with an image, uint8 [H, W, 3]. It returns
+disjoint masks, bool [m, H, W], without the background and in any order; m may be 0. It is
+deterministic.
 """

@@ -1,8 +1,8 @@
-"""From embeddings to masks: mean shift on the unit sphere, and tidying up.
+"""From embeddings to masks: mean shift on the unit sphere and clean-up.
 
-As in unseen object clustering (Xiang et al. 2020): seeds by farthest point, mean shift with a von
-Mises-Fisher kernel, near modes merged, the largest cluster is the background. Here the first seed
-is not drawn but the pixel nearest to the mean, so that a picture always gives the same masks.
+Follows unseen object clustering (Xiang et al. 2020): farthest-point seeds, mean shift with a von
+Mises-Fisher kernel, merging of nearby modes; the largest cluster is the background. The first seed
+is not random but the mean of the table's pixels, so that the masks are deterministic.
 """
 
 from __future__ import annotations
@@ -13,14 +13,14 @@ from scipy import ndimage
 
 from sdfgcn.perception.segmenters.config import UCNConfig
 
-_NEIGHBOURS = np.ones((3, 3), dtype=bool)  # diagonal pixels touch: thin objects stay whole
+_NEIGHBOURS = np.ones((3, 3), dtype=bool)  # diagonal pixels are connected, so that thin objects stay whole
 
 
 def cluster(points: NDArray[np.float32], config: UCNConfig) -> NDArray[np.int64]:
     """Cluster unit vectors [P, D] by mean shift with the cosine distance (1 - cos) / 2.
 
-    Most pixels show the table and are embedded nearly alike; they take part as one point that
-    weighs as much as all of them. That saves most of the time.
+    Most pixels show the table and have nearly the same embedding; they are replaced by one point
+    with their total weight, which saves most of the time.
 
     Returns:
         [P] labels; 0 is the largest cluster.
@@ -42,13 +42,13 @@ def cluster(points: NDArray[np.float32], config: UCNConfig) -> NDArray[np.int64]
 
 
 def masks_of(labels: NDArray[np.int64], config: UCNConfig) -> NDArray[np.bool_]:
-    """Turn clusters [H, W] into masks: one for each part of each cluster but the background, 0.
+    """Turn clusters [H, W] into masks: one per part of each cluster except the background, 0.
 
-    Two objects apart that the network embeds alike are two masks all the same, while the parts of
-    a thin one that the picture shows broken stay together.
+    Separate objects with the same embedding become separate masks, while parts across small gaps,
+    as in broken images of thin objects, stay together.
 
     Returns:
-        [m, H, W] disjoint masks, the largest first; m may be 0.
+        [m, H, W] disjoint masks, largest first; m may be 0.
     """
     masks = []
     for label in range(1, int(labels.max(initial=0)) + 1):
@@ -71,7 +71,7 @@ def _cosine(distance: float) -> float:
 
 
 def _farthest_points(points: NDArray[np.float32], config: UCNConfig) -> NDArray[np.float32]:
-    """[S, D] seeds: the first point, then always the one farthest from those before it."""
+    """[S, D] seeds: the first point, then repeatedly the one farthest from all seeds so far."""
     seeds = [points[0]]
     nearest = points @ seeds[0]  # cosine to the nearest seed
     while len(seeds) < config.seeds:
@@ -89,9 +89,9 @@ def _shifted(
     modes: NDArray[np.float32],
     config: UCNConfig,
 ) -> NDArray[np.float32]:
-    """[S, D] where the seeds end: each step goes to the kernel-weighted mean direction."""
+    """[S, D] modes after mean shift; each step moves to the kernel-weighted mean direction."""
     for _ in range(config.iterations):
-        # exp(k (cos - 1)) is exp(k cos) up to a factor that the norm takes out.
+        # exp(k (cos - 1)) equals exp(k cos) up to a factor that normalisation removes.
         kernel = np.exp(config.concentration * (modes @ points.T - 1.0))
         modes = (kernel * weights) @ points
         modes /= np.linalg.norm(modes, axis=1, keepdims=True)
@@ -99,7 +99,7 @@ def _shifted(
 
 
 def _merged(modes: NDArray[np.float32], distance: float) -> NDArray[np.float32]:
-    """[K, D] one of each group of modes that lie within the distance of each other."""
+    """[K, D] modes, without those within `distance` of an earlier one."""
     near = modes @ modes.T >= _cosine(distance)
     kept: list[int] = []
     for k in range(len(modes)):
@@ -109,10 +109,10 @@ def _merged(modes: NDArray[np.float32], distance: float) -> NDArray[np.float32]:
 
 
 def _parts(members: NDArray[np.bool_], gap: int) -> NDArray[np.int64]:
-    """[H, W] the part that each pixel of a cluster belongs to, from 1 on; 0 elsewhere.
+    """[H, W] the part to which each pixel of a cluster belongs, from 1; 0 elsewhere.
 
-    Pixels are of one part when there is a way between them that never jumps over more than `gap`
-    pixels; growing by half of that on both sides closes such a jump.
+    Two pixels belong to the same part if a path with gaps of at most `gap` pixels joins them.
+    Dilation by half of that from both sides closes such gaps.
     """
     reach = (gap + 1) // 2
     grown = ndimage.binary_dilation(members, _NEIGHBOURS, iterations=reach) if reach else members
@@ -121,7 +121,7 @@ def _parts(members: NDArray[np.bool_], gap: int) -> NDArray[np.int64]:
 
 
 def _holes(mask: NDArray[np.bool_], largest: int | None) -> NDArray[np.bool_]:
-    """[H, W] pixels outside a mask that it encloses, in holes of at most `largest` pixels."""
+    """[H, W] pixels in the holes of a mask, up to `largest` pixels per hole."""
     holes = np.zeros_like(mask)
     (box,) = ndimage.find_objects(mask.astype(np.int8))
     inside = ndimage.binary_fill_holes(mask[box]) & ~mask[box]

@@ -1,4 +1,4 @@
-"""The numbers of `segmentation=ucn`, for its network and for its clustering."""
+"""Settings of `segmentation=ucn`, for its network and its clustering."""
 
 from __future__ import annotations
 

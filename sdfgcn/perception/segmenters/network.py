@@ -1,9 +1,9 @@
 """The network of unseen object clustering: a unit embedding for each pixel (Xiang et al. 2020).
 
-Small, because a push waits for it: an encoder-decoder that works at a half to an eighth of the
-picture, and one convolution before and after it at full resolution, which keeps edges sharp to the
-pixel. The picture comes with the coordinates of its pixels, so that two objects that look the same
-can differ by where they are (the authors' network sees the points of a depth image).
+The network is small, because it runs at every push: an encoder-decoder at a half to an eighth of
+the image resolution, and a convolution before and after it at full resolution, which keeps edges
+sharp to the pixel. Pixel coordinates are part of the input, so that identical objects can be told
+apart by position (the authors' network uses the points of a depth image instead).
 """
 
 from __future__ import annotations
@@ -16,20 +16,22 @@ from torch.nn.functional import interpolate, normalize, pixel_shuffle
 
 from sdfgcn.errors import SdfgcnError
 
-GROUPS = 8  # of group normalisation; batch statistics would tie a picture to its batch
+GROUPS = 8  # of group normalisation; batch statistics would make an image depend on its batch
 
 
 class UCN(nn.Module):
-    """Picture -> unit embeddings."""
+    """Embeds each pixel of an image on the unit sphere."""
 
     def __init__(self, channels: int, widths: Sequence[int], embedding: int) -> None:
-        """Make the layers.
+        """Create the layers.
 
-        `channels` are those at the picture's own resolution, `widths` those at a half of it, a
-        quarter and so on.
+        Args:
+            channels: Channels at full resolution.
+            widths: Channels at a half of it, a quarter and so on.
+            embedding: D, the dimension of the embeddings.
 
         Raises:
-            SdfgcnError: A width does not divide into the groups of normalisation.
+            SdfgcnError: `widths` is empty, or a width is not a multiple of `GROUPS`.
         """
         super().__init__()
         uneven = [width for width in widths if width % GROUPS or width <= 0]
@@ -48,14 +50,14 @@ class UCN(nn.Module):
         pairs = list(zip(widths[1:], widths[:-1], strict=True))
         self.lateral = nn.ModuleList(nn.Conv2d(a, b, 1) for a, b in pairs)
         self.decoder = nn.ModuleList(_block(b, b) for _, b in pairs)
-        self.widen = nn.Conv2d(widths[0], 4 * channels, 1)  # four pixels out of each
+        self.widen = nn.Conv2d(widths[0], 4 * channels, 1)  # each cell becomes four pixels
         self.head = nn.Sequential(
             nn.ReLU(),
             nn.Conv2d(channels, channels, 3, padding=1),
             nn.ReLU(),
             nn.Conv2d(channels, embedding, 1),
         )
-        # A third faster on a CPU.
+        # channels_last is a third faster on a CPU.
         self.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     def forward(self, pictures: Tensor) -> Tensor:
@@ -75,7 +77,7 @@ class UCN(nn.Module):
         for k in reversed(range(len(self.decoder))):
             features = interpolate(self.lateral[k](features), scale_factor=2.0, mode="nearest")
             features = self.decoder[k](features + levels[k])
-        # pixel_shuffle leaves channels_last, and all that follows would be slower by a quarter.
+        # pixel_shuffle drops channels_last, which would slow down the rest by a quarter.
         fine = pixel_shuffle(self.widen(features), 2).contiguous(memory_format=torch.channels_last)
         return normalize(self.head(sharp + fine), dim=1)
 
@@ -89,7 +91,7 @@ def _block(inputs: int, outputs: int, stride: int = 1) -> nn.Sequential:
 
 
 def _with_coordinates(pictures: Tensor) -> Tensor:
-    """[B, 5, H, W]: the colours around zero, and each pixel's column and row from -1 to 1."""
+    """[B, 5, H, W]: colours centred on zero, and each pixel's column and row from -1 to 1."""
     batch, _, height, width = pictures.shape
     u = torch.linspace(-1.0, 1.0, width).expand(batch, 1, height, width)
     v = torch.linspace(-1.0, 1.0, height)[:, None].expand(batch, 1, height, width)

@@ -23,27 +23,27 @@ SHIPPED = Path(__file__).parents[1] / "weights" / "ucn.safetensors"
 
 @SEGMENTERS.register("ucn", config=UCNConfig)
 class UCNSegmenter:
-    """RGB picture -> object masks; see `conf/segmentation/ucn.yaml` for its settings."""
+    """RGB image -> object masks; see `conf/segmentation/ucn.yaml` for its settings."""
 
     def __init__(self, config: UCNConfig, network: UCN | None = None) -> None:
-        """Load the weights, unless a network is handed over (one in training).
+        """Use `network` (during training), or load the weights if it is None.
 
         Raises:
-            SdfgcnError: The file is missing, damaged, or of a network of other widths.
+            SdfgcnError: The file is missing, damaged, or for other network sizes.
         """
         self._config = config
         self._network = network or load_network(config)
 
     def __call__(self, pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Find the objects of an RGB picture [H, W, 3]: [m, H, W] disjoint masks, largest first.
+        """Segment an RGB image [H, W, 3] into disjoint object masks [m, H, W], largest first.
 
         Raises:
-            SdfgcnError: The network cannot take pictures of this size.
+            SdfgcnError: The network does not accept images of this size.
         """
         return masks_of(self.clusters(pixels), self._config)
 
     def clusters(self, pixels: NDArray[np.uint8]) -> NDArray[np.int64]:
-        """[H, W] the cluster of each pixel before masks are made; 0 is the background."""
+        """[H, W] the cluster of each pixel, before they become masks; 0 is the background."""
         embeddings = self.embeddings(pixels)
         points = embeddings.reshape(-1, embeddings.shape[-1])
         return cluster(points, self._config).reshape(embeddings.shape[:2])
@@ -62,15 +62,15 @@ class UCNSegmenter:
 
 
 def make_network(config: UCNConfig) -> UCN:
-    """An untrained network of the configured size."""
+    """Create an untrained network of the configured size."""
     return UCN(config.channels, config.widths, config.embedding)
 
 
 def load_network(config: UCNConfig) -> UCN:
-    """The trained network.
+    """Load the trained network.
 
     Raises:
-        SdfgcnError: The file is missing, damaged, or of a network of other widths.
+        SdfgcnError: The file is missing, damaged, or for other network sizes.
     """
     path = SHIPPED if config.weights is None else Path(config.weights).expanduser()
     network = make_network(config)
@@ -101,16 +101,16 @@ def load_network(config: UCNConfig) -> UCN:
 
 
 def save_network(network: UCN, config: UCNConfig, path: Path) -> None:
-    """Write weights in one step, with the sizes of their network."""
+    """Write the weights atomically, with the network sizes as metadata."""
     tensors = {name: value.contiguous() for name, value in network.state_dict().items()}
     metadata = {"sizes": json.dumps(network_sizes(config))}
     with replaced(path) as part:
-        # Not save_file: it makes a file that only its owner may read.
+        # Not save_file, whose files are readable by the owner only.
         part.write_bytes(safetensors.torch.save(tensors, metadata=metadata))
 
 
 def network_sizes(config: UCNConfig) -> dict[str, object]:
-    """What the shapes of the weights follow from."""
+    """The settings that determine the shapes of the weights."""
     return {
         "channels": config.channels,
         "widths": list(config.widths),

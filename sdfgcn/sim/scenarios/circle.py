@@ -12,7 +12,7 @@ from sdfgcn.task.region import Region
 
 @SCENARIOS.register("circle")
 class Circle(Scenario):
-    """The goal spaces the objects evenly, in random order, on the smallest circle that fits them."""
+    """The goal spaces the objects evenly, in random order, on the smallest possible circle."""
 
     def draw(self, rng: np.random.Generator, situation: Situation) -> Layout:
         """Draw a uniform start and a goal circle with random position and phase."""
