@@ -15,7 +15,7 @@ from sdfgcn.errors import SdfgcnError
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 
-_LEAST_WEIGHT = 1e-4  # of a feature-map cell; avoids division by zero if a mask vanishes on a coarse map
+_LEAST_WEIGHT = 1e-4  # of a feature-map cell; keeps the sum positive if a mask vanishes
 
 
 class Encoder(nn.Module, ABC):

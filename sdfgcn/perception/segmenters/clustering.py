@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from sdfgcn.perception.segmenters.config import UCNConfig
 
-_NEIGHBOURS = np.ones((3, 3), dtype=bool)  # diagonal pixels are connected, so that thin objects stay whole
+_NEIGHBOURS = np.ones((3, 3), dtype=bool)  # 8-connected, so that thin objects stay whole
 
 
 def cluster(points: NDArray[np.float32], config: UCNConfig) -> NDArray[np.int64]:
