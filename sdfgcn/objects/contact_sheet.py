@@ -1,4 +1,4 @@
-"""Draw every object of a catalogue in one image.
+"""Draw every object of a catalogue in one picture.
 
 `python -m sdfgcn.objects.contact_sheet objects=scanned out=contact_sheet.png` takes the same
 overrides as the `sdfgcn` command; `pieces=true` draws collision pieces instead of meshes.
@@ -25,7 +25,7 @@ from sdfgcn.files import replaced
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.objects.model import ObjectModel
 
-TILE = 200  # pixels, side of one object's image
+TILE = 200  # pixels, side of one object's picture
 CAPTION = 46  # pixels, height of the caption below it
 COLUMNS = 8
 

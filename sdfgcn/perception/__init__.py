@@ -1,1 +1,1 @@
-"""Perception: from images to object masks and signed distance fields."""
+"""Perception: from pictures to object masks and signed distance fields."""

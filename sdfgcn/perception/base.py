@@ -1,4 +1,4 @@
-"""Base class of perceptions, which turn images into rows of masks matched with goal rows."""
+"""Base class of perceptions, which turn pictures into rows of masks matched with goal rows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from sdfgcn.task.world import View
 class Perception(abc.ABC):
     """Sees the goal once per episode, then the current scene at each step.
 
-    Each detected object has a row, which it keeps from image to image as far as it can be
+    Each detected object has a row, which it keeps from picture to picture as far as it can be
     recognised. Matched rows i of the scene and the goal show the same object. The mask of a row
     without a detected object is all false.
     """

@@ -28,7 +28,7 @@ _STD = np.array(IMAGENET_STD, dtype=np.float32)
 class Matcher:
     """Computes features of masked patches and the assignment of least total distance.
 
-    Features depend on the patch alone, not on the rest of the image, the object's position or
+    Features depend on the patch alone, not on the rest of the picture, the object's position or
     the cache.
     """
 
@@ -45,7 +45,7 @@ class Matcher:
         self._remembered = functools.lru_cache(maxsize=KEPT_FEATURES)(self._encode)
 
     def features(self, pixels: NDArray[np.uint8], masks: NDArray[np.bool_]) -> NDArray[np.float32]:
-        """Appearance features of the objects under masks [m, H, W] of an image [H, W, 3].
+        """Appearance features of the objects under masks [m, H, W] of a picture [H, W, 3].
 
         Objects whose appearance is unchanged come from the cache.
 
@@ -98,7 +98,7 @@ class Matcher:
             patch: Its bounding box, uint8 [h, w, 3].
             packed: The mask of the box, bool [h, w], packed to bits.
             shape: (h, w).
-            height: Height of the whole image, pixels.
+            height: Height of the whole picture, pixels.
         """
         rgb = np.frombuffer(patch, dtype=np.uint8).reshape(*shape, 3).astype(np.float32) / 255.0
         bits = np.unpackbits(np.frombuffer(packed, dtype=np.uint8), count=shape[0] * shape[1])
@@ -122,10 +122,10 @@ class Matcher:
         Args:
             rgb: [h, w, 3], 0 to 1.
             mask: [h, w].
-            side: Side of the image square that becomes the network's input, pixels.
+            side: Side of the picture square that becomes the network's input, pixels.
 
         Returns:
-            float32 [R, 3, S, S] normalised images and [R, 1, S, S] masks.
+            float32 [R, 3, S, S] normalised pictures and [R, 1, S, S] masks.
         """
         normalised = (rgb - _MEAN) / _STD
         layers = np.dstack([normalised, np.ones_like(mask)]) * mask[..., None]

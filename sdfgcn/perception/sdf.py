@@ -59,10 +59,10 @@ class SdfTransform:
 
         Args:
             method: A key of `SDF_METHODS`.
-            size: Height and width of the images, pixels.
+            size: Height and width of the pictures, pixels.
             kept: Capacity of the cache, in fields.
             precision: Data type of cached fields. Half precision errs by less than 0.13 pixels in
-                a 96-pixel image, and by less than 0.001 near the contour.
+                a 96-pixel picture, and by less than 0.001 near the contour.
 
         Raises:
             SdfgcnError: There is no such method.
@@ -81,7 +81,7 @@ class SdfTransform:
         """[m, H, W] signed distance fields of masks [m, H, W], pixels, negative inside.
 
         The contour runs midway between inside and outside pixels. Without a contour, the field is
-        the image diagonal everywhere: positive for an empty mask, negative for a full one.
+        the picture diagonal everywhere: positive for an empty mask, negative for a full one.
         """
         fields = np.empty(masks.shape, dtype=np.float32)
         for i, mask in enumerate(masks):

@@ -1,4 +1,4 @@
-"""Masks and matches from RGB images alone (paper section V A)."""
+"""Masks and matches from RGB pictures alone (paper section V A)."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class VisionPerception(Perception):
         self._goal_features = np.zeros((0, self._matcher.n_features), dtype=np.float32)
 
     def see_goal(self, view: View) -> NDArray[np.bool_]:
-        """[n, H, W] the masks found in the goal image."""
+        """[n, H, W] the masks found in the goal picture."""
         pixels = view.pixels()
         masks = self._find(pixels)
         self._goal_features = self._matcher.features(pixels, masks)
         return masks
 
     def see(self, view: View) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        """Masks of the current image, each in the row of its goal object if matched."""
+        """Masks of the current picture, each in the row of its goal object if matched."""
         pixels = view.pixels()
         found = self._find(pixels)
         matches = self._matcher.match(self._matcher.features(pixels, found), self._goal_features)

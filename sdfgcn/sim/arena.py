@@ -7,9 +7,9 @@ from dm_control import composer
 from sdfgcn.config import ArenaConfig, PhysicsConfig
 from sdfgcn.task.camera import camera_model
 
-# Geom groups determine what an image shows; switching them costs nothing.
-GROUP_SCENE = 0  # visible props: in every image
-GROUP_TABLE = 1  # the table: in RGB images
+# Geom groups determine what a picture shows; switching them costs nothing.
+GROUP_SCENE = 0  # visible props: in every picture
+GROUP_TABLE = 1  # the table: in RGB pictures
 GROUP_ROBOT = 2  # the robot's visual geoms (as set by the Menagerie models)
 GROUP_COLLISION = 3  # convex pieces: never drawn
 GROUP_PARKED = 4  # props not in this episode: never drawn
@@ -34,10 +34,10 @@ class Table(composer.Arena):
         root.option.sleep_tolerance = physics.sleep_tolerance
         root.size.memory = "64M"
         root.compiler.fusestatic = True  # merges the gripper's fixed parts into one body
-        # Shadows and multisampling would make a 96x96 image over 20 times slower.
+        # Shadows and multisampling would make a 96x96 picture over 20 times slower.
         root.visual.quality.shadowsize = 0
         root.visual.quality.offsamples = 0
-        # A frame buffer of exactly the image size: a larger one takes longer to clear.
+        # A frame buffer of exactly the picture size: a larger one takes longer to clear.
         frame = root.visual.get_children("global")
         frame.set_attributes(offwidth=arena.image_size, offheight=arena.image_size)
         root.visual.headlight.set_attributes(
@@ -51,7 +51,7 @@ class Table(composer.Arena):
             "geom",
             name="table",
             type="plane",
-            # For contacts the plane is infinite; it is drawn as a square that fills the image.
+            # For contacts the plane is infinite; it is drawn as a square that fills the picture.
             size=[1.5, 1.5, 0.05],
             rgba=arena.table_rgba,
             group=GROUP_TABLE,

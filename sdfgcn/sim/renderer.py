@@ -23,7 +23,7 @@ class Renderer:
     """
 
     def __init__(self, physics: mjcf.Physics, size: int):
-        """Set up for square images with sides of `size` pixels."""
+        """Set up for square pictures with sides of `size` pixels."""
         self._physics = physics
         self._rgb = _showing(GROUP_TABLE, GROUP_SCENE)
         self._props = _showing(GROUP_SCENE)
@@ -32,7 +32,7 @@ class Renderer:
         self._colors = np.zeros((size, size, 3), dtype=np.uint8)
 
     def pixels(self) -> NDArray[np.uint8]:
-        """[H, W, 3] the RGB image."""
+        """[H, W, 3] the RGB picture."""
         return self._camera.render(scene_option=self._rgb).copy()
 
     def geom_ids(self) -> NDArray[np.int64]:

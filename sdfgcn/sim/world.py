@@ -142,7 +142,7 @@ class MujocoWorld:
 
 
 class MujocoView:
-    """A lazily rendered view of a `MujocoWorld`; the RGB image is cached."""
+    """A lazily rendered view of a `MujocoWorld`; the RGB picture is cached."""
 
     def __init__(self, world: MujocoWorld, poses: NDArray[np.float64] | None = None) -> None:
         """View the objects in their current poses, or at the given [n, 7] poses."""
@@ -151,7 +151,7 @@ class MujocoView:
         self._pixels: NDArray[np.uint8] | None = None
 
     def pixels(self) -> NDArray[np.uint8]:
-        """[H, W, 3] the RGB image."""
+        """[H, W, 3] the RGB picture."""
         if self._pixels is None:
             with self._there():
                 self._pixels = self._world.renderer.pixels()

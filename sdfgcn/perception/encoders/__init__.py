@@ -1,1 +1,1 @@
-"""ImageNet-pretrained networks that turn images of objects into features (`encoder=NAME`)."""
+"""ImageNet-pretrained networks that turn pictures of objects into features (`encoder=NAME`)."""

@@ -11,7 +11,7 @@ from torch.nn.functional import interpolate
 
 from sdfgcn.errors import SdfgcnError
 
-# Statistics of the training images; red, green, blue.
+# Statistics of the training pictures; red, green, blue.
 IMAGENET_MEAN = (0.485, 0.456, 0.406)
 IMAGENET_STD = (0.229, 0.224, 0.225)
 
@@ -22,7 +22,7 @@ class Encoder(nn.Module, ABC):
     """A pretrained network whose stages are pooled over the object.
 
     Middle stages distinguish objects a few pixels across better than logits, because late stages
-    were trained on objects that fill the image.
+    were trained on objects that fill the picture.
     """
 
     def __init__(self, stages: Sequence[int]) -> None:

@@ -45,7 +45,7 @@ def masks_of(labels: NDArray[np.int64], config: UCNConfig) -> NDArray[np.bool_]:
     """Turn clusters [H, W] into masks: one per part of each cluster except the background, 0.
 
     Separate objects with the same embedding become separate masks, while parts across small gaps,
-    as in broken images of thin objects, stay together.
+    as in broken pictures of thin objects, stay together.
 
     Returns:
         [m, H, W] disjoint masks, largest first; m may be 0.

@@ -1,7 +1,7 @@
 """The network of unseen object clustering: a unit embedding for each pixel (Xiang et al. 2020).
 
 The network is small, because it runs at every push: an encoder-decoder at a half to an eighth of
-the image resolution, and a convolution before and after it at full resolution, which keeps edges
+the picture resolution, and a convolution before and after it at full resolution, which keeps edges
 sharp to the pixel. Pixel coordinates are part of the input, so that identical objects can be told
 apart by position (the authors' network uses the points of a depth image instead).
 """
@@ -16,11 +16,11 @@ from torch.nn.functional import interpolate, normalize, pixel_shuffle
 
 from sdfgcn.errors import SdfgcnError
 
-GROUPS = 8  # of group normalisation; batch statistics would make an image depend on its batch
+GROUPS = 8  # of group normalisation; batch statistics would make a picture depend on its batch
 
 
 class UCN(nn.Module):
-    """Embeds each pixel of an image on the unit sphere."""
+    """Embeds each pixel of a picture on the unit sphere."""
 
     def __init__(self, channels: int, widths: Sequence[int], embedding: int) -> None:
         """Create the layers.

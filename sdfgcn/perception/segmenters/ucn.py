@@ -23,7 +23,7 @@ SHIPPED = Path(__file__).parents[1] / "weights" / "ucn.safetensors"
 
 @SEGMENTERS.register("ucn", config=UCNConfig)
 class UCNSegmenter:
-    """RGB image -> object masks; see `conf/segmentation/ucn.yaml` for its settings."""
+    """RGB picture -> object masks; see `conf/segmentation/ucn.yaml` for its settings."""
 
     def __init__(self, config: UCNConfig, network: UCN | None = None) -> None:
         """Use `network` (during training), or load the weights if it is None.
@@ -35,10 +35,10 @@ class UCNSegmenter:
         self._network = network or load_network(config)
 
     def __call__(self, pixels: NDArray[np.uint8]) -> NDArray[np.bool_]:
-        """Segment an RGB image [H, W, 3] into disjoint object masks [m, H, W], largest first.
+        """Segment an RGB picture [H, W, 3] into disjoint object masks [m, H, W], largest first.
 
         Raises:
-            SdfgcnError: The network does not accept images of this size.
+            SdfgcnError: The network does not accept pictures of this size.
         """
         return masks_of(self.clusters(pixels), self._config)
 
