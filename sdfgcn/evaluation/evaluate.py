@@ -205,7 +205,7 @@ def _in_this_process(evaluation: Evaluation, episodes: Sequence[int]) -> Iterato
 
 def _in_workers(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[EpisodeResult]:
     if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
-        # In a process of joblib's launcher, whose start method is unknown to processes spawned here.
+        # Under joblib's launcher, whose start method is unknown to processes spawned here.
         multiprocessing.set_start_method("spawn", force=True)
     context = multiprocessing.get_context("spawn")  # OpenGL contexts do not survive a fork
     stop = context.Event()

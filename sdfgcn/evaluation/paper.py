@@ -37,8 +37,8 @@ _TABLE_I: dict[str, dict[str, _Figures]] = {
     "sdfgcn": {"train": (0.80, 35.0, 29.5), "test": (0.80, 34.6, 31.3)},
 }
 
-# Table II: test objects, by their number. For 3 objects, the rule-based agent and SDFGCN-fixed repeat
-# table I.
+# Table II: test objects, by their number. For 3 objects, the rows of the rule-based agent and of
+# SDFGCN-fixed repeat table I.
 _TABLE_II: dict[str, dict[int, _Figures]] = {
     "rule_based": {
         2: (0.78, 35.2, 31.2),
