@@ -90,7 +90,7 @@ def survey(overrides: list[str], pushes: int) -> dict[str, Any]:
 
 
 def creep(env: RearrangementEnv) -> float:
-    """How far the objects' centres go in one more second, metres; the state is put back."""
+    """Largest drift of an object's centre in one more second, metres; restores the state."""
     physics, task = env.world.physics, env.world.task
     before = task.poses(physics)
     task.set_poses(physics, before, resting=False)  # awake: what sleeps does not creep
