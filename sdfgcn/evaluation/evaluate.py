@@ -28,7 +28,7 @@ from sdfgcn.evaluation.play import Env, Recorder, episode_seeds, play_episode
 from sdfgcn.loggers import Logger
 from sdfgcn.processes import follow_parent
 
-# Modules that load torch are imported where used: the workers' main process needs none of them.
+# Modules that load torch are imported where used: a main process with workers needs none.
 if TYPE_CHECKING:
     from sdfgcn.models.q_network import QNetwork
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from sdfgcn.evaluation.episodes import EpisodeResult
 
-# Modules that load torch are imported where used: the workers' main process needs none of them.
+# Modules that load torch are imported where used: a main process with workers needs none.
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torch import Tensor

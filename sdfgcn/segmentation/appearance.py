@@ -93,7 +93,7 @@ class Appearance:
         table: NDArray[np.float64],
         shared: NDArray[np.float64] | None,
     ) -> None:
-        """Colour a prop; a texture is mostly kept or faintly tinted, and sometimes dropped."""
+        """Colour a prop; a texture is kept, faintly tinted or dropped."""
         model = self._model
         if model.geom_matid[geom] >= 0:
             kind = rng.random()
