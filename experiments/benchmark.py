@@ -1,15 +1,15 @@
-"""How fast is a push? Pushes per second and core, and where the time goes.
+"""Benchmark of the environment: pushes per second and core, and where the time goes.
 
     python experiments/benchmark.py                       both robots, 3 scanned objects
     python experiments/benchmark.py perception=vision     masks and matches from the picture
     python experiments/benchmark.py pushes=100 objects=household
 
-Makes random legal pushes in this process, on one core, with a reset at the end of each episode
-and at the latest after `episode=15` pushes, as many as a rule-based episode of three objects takes.
-Writes `results/benchmark.json` (`benchmark_vision.json` and so on where not all is as by default):
-every repeat, and least, median and most pushes a second. Rates are by the wall clock: run it on a
-quiet machine. `pushes_per_cpu_second` counts this process's time alone. `ms_per_push` splits the
-time of a push, with its share of the resets, into parts that do not nest; `python` is the rest.
+Makes random legal pushes in this process, on one core, with a reset after each episode and after
+at most `episode=15` pushes, the length of a rule-based episode with three objects. Writes
+`results/benchmark.json` (or `benchmark_vision.json` and so on for other options): every repeat, and
+the least, median and most pushes per second. Rates are by wall clock, so use a quiet machine;
+`pushes_per_cpu_second` counts only this process's CPU time. `ms_per_push` splits the time of a
+push, with its share of the resets, into disjoint parts; `python` is the rest.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ PARTS = {
 class Stopwatch:
     """Adds up the wall-clock time spent in functions, by part.
 
-    What a timed function calls counts as its own part, so that no time counts twice.
+    Nested calls of timed functions count towards the outer one, so no time counts twice.
     """
 
     def __init__(self) -> None:
@@ -152,7 +152,7 @@ def measure(
 
 
 def result_name(config: Config) -> str:
-    """The default's result, and each other one, under a name of its own."""
+    """The result's file name, distinct for every perception and object source."""
     return file_name(
         "benchmark", (config.env.perception.name, config.env.objects.name), {"oracle", "scanned"}
     )

@@ -1,12 +1,12 @@
-"""What does an update of each Q-network cost? CPU seconds on one thread, and operations a node.
+"""The cost of an update of each Q-network: CPU time on one thread, and operations per node.
 
     python experiments/benchmark_models.py                  all networks and widths, 3 objects
     python experiments/benchmark_models.py batch=64 n_objects=4 repeats=5 bfloat16=1
 
-An update is that of double DQN: forward and backward on the observations, and two forwards on the
-next ones. Times are this process's CPU time, the least of the repeats, since other processes on the
-machine only ever add to it. Writes `results/benchmark_models.json`. `bfloat16=1` tries autocast
-as well: a chip without instructions for it emulates it and takes ten times as long.
+A double DQN update is a forward and a backward pass on the observations, and two forward passes on
+the next ones. Times are the least CPU time of the repeats, since other processes only add to it.
+Writes `results/benchmark_models.json`. `bfloat16=1` also tries autocast, which takes ten times as
+long on a processor that has to emulate it.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from sdfgcn.models import build_q_network
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.task.scene import Scene
 
-# Network, width (None: it has no choice), and the rows and formats to try.
+# Network, width (None: not configurable), and the numbers of rows and the formats to try.
 PLAIN = ((4, "float32"), (4, "channels_last"))
 CASES: list[tuple[str, str | None, tuple[tuple[int, str], ...]]] = [
     ("sdfgcn", "strided", (*PLAIN, (8, "channels_last"), (4, "bfloat16"))),
@@ -47,7 +47,7 @@ CASES: list[tuple[str, str | None, tuple[tuple[int, str], ...]]] = [
 
 
 def observation(n: int, batch: int, n_objects: int, size: int) -> TensorDict:
-    """Random pictures; times do not depend on what they show. Keys as of the environment."""
+    """A random observation with the environment's keys; times do not depend on its content."""
     generator = torch.Generator().manual_seed(0)
     occupied = (torch.arange(n) < n_objects).repeat(batch, 1)
 
@@ -64,7 +64,7 @@ def observation(n: int, batch: int, n_objects: int, size: int) -> TensorDict:
 
 
 def cpu_ms(function: Callable[[], Any], repeats: int) -> float:
-    """Least CPU time of a call, milliseconds."""
+    """The least CPU time of a call, milliseconds."""
     function()
     taken = []
     for _ in range(repeats):
@@ -98,7 +98,7 @@ def measure(network: QNetwork, td: TensorDict, form: str, repeats: int) -> dict[
 
 
 def mflop_a_node(network: QNetwork, td: TensorDict, n_nodes: int) -> float:
-    """Operations of a forward pass (two a multiply-add) by occupied node, millions."""
+    """Millions of operations of a forward pass per occupied node (2 per multiply-add)."""
     with FlopCounterMode(display=False) as counter, torch.no_grad():
         network(td)
     return round(counter.get_total_flops() / n_nodes / 1e6, 2)

@@ -1,12 +1,12 @@
-"""How fast does a training go? Pushes and updates a second by who pushes and how many.
+"""Benchmark of training: pushes and updates per second, by collector and number of workers.
 
     python experiments/benchmark_training.py              sync; async with 1, 2 and 3 workers
     python experiments/benchmark_training.py seconds=120 model=sdf_cnn
 
-Trains anew in each case and writes `results/benchmark_training.json`. Rates are by the wall clock,
-from the first update on, so run it on a quiet machine; each row tells how many updates a push got,
-since who pushes and who learns wait for each other where one is far ahead
-(`train.utd_ratio`, `train.max_utd_ratio`).
+Trains from scratch in each case and writes `results/benchmark_training.json`. Rates are by wall
+clock from the first update on, so use a quiet machine. Each row has the updates per push, since
+collector and learner wait for each other when one is far ahead (`train.utd_ratio`,
+`train.max_utd_ratio`).
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from sdfgcn.loggers.files import NoLogger
 from sdfgcn.train.training import q_network, train
 
 CASES: tuple[tuple[str, int], ...] = (("sync", 0), ("async", 1), ("async", 2), ("async", 3))
-LOG_PUSHES = 100  # pushes between two looks at the clock
+LOG_PUSHES = 100  # pushes between two readings of the clock
 
 
 def measure(overrides: list[str], collector: str, workers: int, seconds: int) -> dict[str, Any]:
-    """Train for so many seconds; the rates of the time in which there were updates."""
+    """Train for `seconds`; the rates are from the first logged update on."""
     config = load(
         [
             *("model=sdfgcn", f"collector={collector}"),

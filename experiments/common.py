@@ -1,4 +1,4 @@
-"""What the experiments share: the config, the command line, and where results go."""
+"""Shared by the experiments: config, command line and results folder."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ RESULTS = ROOT / "experiments" / "results"
 
 
 def load(overrides: Sequence[str]) -> Config:
-    """The experiment's config with overrides as on the command line of `sdfgcn`."""
+    """The config with overrides as on the command line of `sdfgcn`."""
     return load_config(*overrides)
 
 
@@ -34,12 +34,12 @@ def parse(arguments: Sequence[str], own: dict[str, int]) -> tuple[dict[str, int]
 
 
 def file_name(experiment: str, parts: Sequence[str], usual: Collection[str]) -> str:
-    """Name a result after what is not as usual, so that none replaces another's."""
+    """Name a result after its unusual options, so that none overwrites another."""
     return "_".join([experiment, *(part for part in parts if part not in usual)])
 
 
 def provenance() -> dict[str, Any]:
-    """The versions and the commit that a result comes from."""
+    """The package versions and the commit behind a result."""
     return {"versions": versions(), "git": git_state(ROOT)}
 
 

@@ -1,11 +1,11 @@
-"""How a training went: its curve as a picture and as a table of few rows.
+"""The learning curve of a training, as a picture and as a short table.
 
     python experiments/learning_curve.py sdfgcn outputs/2026-01-31/14-00-00
     python experiments/learning_curve.py sdfgcn FOLDER --readme README.md --rows 12
 
-Takes the `train.csv` of a run folder and writes it as `results/<name>_curve.csv`, with a table of
-rows evenly spaced in time (`.md`) and a picture (`.png`; needs `pip install -e '.[notebooks]'`).
-With `--readme`, the table also goes between the lines `<!-- results:<name>_curve -->` and
+Copies the `train.csv` of a run folder to `results/<name>_curve.csv` and writes a table of rows
+evenly spaced in time (`.md`) and a picture (`.png`; needs `pip install -e '.[notebooks]'`). With
+`--readme`, the table is also inserted between the lines `<!-- results:<name>_curve -->` and
 `<!-- /results -->` of that file.
 """
 
@@ -35,7 +35,7 @@ def read(folder: Path) -> list[Row]:
     """The rows of a run folder's `train.csv`.
 
     Raises:
-        SdfgcnError: It has none, or it is damaged.
+        SdfgcnError: The file is missing, empty or damaged.
     """
     file = folder / "train.csv"
     try:
@@ -51,7 +51,7 @@ def read(folder: Path) -> list[Row]:
 
 
 def spaced(rows: list[Row], count: int) -> list[Row]:
-    """At most `count` rows, the nearest to times that divide the training evenly; last one in."""
+    """At most `count` rows, nearest to evenly spaced times; the last row is included."""
     times = [rows[-1]["seconds"] * (i + 1) / count for i in range(count)]
     nearest = {min(range(len(rows)), key=lambda k: abs(rows[k]["seconds"] - t)) for t in times}
     return [rows[k] for k in sorted(nearest)]

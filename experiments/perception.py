@@ -1,4 +1,4 @@
-"""How well does perception see? Held-out objects in the environment's own scenes.
+"""Accuracy of perception on held-out objects in the environment's own scenes.
 
     python experiments/perception.py                         every section
     python experiments/perception.py segmentation scenes=20
@@ -6,8 +6,8 @@
     python experiments/perception.py readme                  the tables' main rows into README.md
 
 Each section writes `results/perception_<section>.json`, `.md` (the same as a table) and `.png`
-(examples and failures); its module says more. `scenes` is the number of scenes for each number of
-objects: 100 for segmentation and 500 for matching unless given.
+(examples and failures); see its module. `scenes` is the number of scenes per number of objects, by
+default 100 for segmentation and 500 for matching.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
 """The matching section of `perception.py`: is each object matched with itself in the goal picture?
 
-Held-out objects, true masks, the env's own pictures. Each object is turned and moved at random.
-Objects without a texture draw their colours from one palette with replacement, so that two may
-have the same. Writes `results/perception_matching.json`, the same as a table in `.md`, and in
-`.png` scenes of the most objects and the failures, start and goal side by side: the two ends of a
-match are outlined in one colour, and framed in red where it is wrong. Other objects, splits and
-encoders go to files of their own (`perception_matching_household`). A run that was cut off goes on
-with the next number of objects.
+Uses held-out objects, true masks and the env's own pictures. Each object is turned and moved at
+random. Untextured objects draw their colours from one palette with replacement, so two may have the
+same. Writes `results/perception_matching.json`, the same as a table in `.md`, and in `.png` some
+scenes with the most objects and the failures, start and goal side by side: both ends of a match are
+outlined in one colour, and framed in red if it is wrong. Other objects, splits and encoders get
+their own files (`perception_matching_household`). An interrupted run resumes with the next number
+of objects.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ KINDS = {
     "color_alone": "by mean colour alone",
     "size_alone": "by size alone",
 }
-SHOWN = 8  # scenes of the figure that are right, and as many failures
+SHOWN = 8  # correct scenes in the figure, and at most as many failures
 
 Row = dict[str, Any]
 
@@ -62,12 +62,12 @@ class View:
 
 @dataclass(frozen=True)
 class Scene:
-    """Start and goal of one episode, with the masks that are large enough to be detected.
+    """Start and goal of one episode, with the masks large enough to be detected.
 
     Attributes:
         current: The start's picture.
         goal: The goal's picture.
-        expected: int64 [m] for each current mask the goal mask of the same object, -1 for none.
+        expected: int64 [m] index of each current object's goal mask, -1 for none.
     """
 
     current: View
@@ -78,7 +78,7 @@ class Scene:
 def run(overrides: list[str], scenes: int) -> None:
     """Match `scenes` scenes of each number of objects; write the results after each number."""
     if not any(override.startswith("robot=") for override in overrides):
-        overrides = [*overrides, "robot=gripper"]  # out of the picture, and faster to build
+        overrides = [*overrides, "robot=gripper"]  # not in the picture, and faster to build
     config = load([*overrides, "perception=oracle"])
     matcher = Matcher(config.env.perception.encoder)
     head, name = header(config, scenes, overrides), result_name(config)
@@ -95,7 +95,7 @@ def run(overrides: list[str], scenes: int) -> None:
 
 
 class Scenes:
-    """Draws scenes by their number of objects and index, whatever was drawn before."""
+    """Draws scenes that depend only on the seed, their number of objects and their index."""
 
     def __init__(self, config: EnvConfig, seed: int) -> None:
         """Compile the world."""
@@ -123,7 +123,7 @@ class Scenes:
 
 
 def shuffled(current: View, goal: View, order: NDArray, config: EnvConfig) -> Scene:
-    """Keep what is detected, and put the goal's objects in another order."""
+    """Keep the detected objects, and reorder those of the goal by `order`."""
     least = config.perception.min_pixels
     slots = np.flatnonzero(detected(current.masks, least))
     goal_slots = order[detected(goal.masks, least)[order]]
@@ -146,7 +146,7 @@ def size(view: View) -> NDArray[np.float64]:
 
 
 def right(found: NDArray[np.int64], expected: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """[m] whether each object went to itself; one that the goal does not show may go anywhere."""
+    """[m] whether each object is matched with itself; one missing in the goal is always right."""
     return (found == expected) | (expected < 0)
 
 
@@ -154,8 +154,8 @@ def measure(scenes: Scenes, matcher: Matcher, n: int, count: int) -> Row:
     """Match `count` scenes of n objects, by the whole feature and by its parts.
 
     Returns:
-        For each kind of feature the share of scenes that are wholly right, and of objects; which
-        scenes were not; and the milliseconds of processor time that a new object costs.
+        For each kind of feature, the share of scenes wholly right and of objects right; the
+        wrong scenes; and the CPU time per object, milliseconds.
     """
     scene_right: dict[str, list[bool]] = {kind: [] for kind in KINDS}
     object_right: dict[str, list[bool]] = {kind: [] for kind in KINDS}
@@ -196,7 +196,7 @@ def measure(scenes: Scenes, matcher: Matcher, n: int, count: int) -> Row:
 
 
 def header(config: Config, scenes: int, overrides: list[str]) -> dict[str, Any]:
-    """What the rows follow from; scene i of n objects is drawn from [seed, n, i]."""
+    """The settings behind the rows; scene i of n objects is drawn from [seed, n, i]."""
     return {
         "objects": config.env.objects.name,
         "split": config.env.split,
@@ -209,14 +209,14 @@ def header(config: Config, scenes: int, overrides: list[str]) -> dict[str, Any]:
 
 
 def result_name(config: Config) -> str:
-    """The default's result, and each other one, under a name of its own."""
+    """The result's file name, distinct for every object source, split and encoder."""
     env = config.env
     parts = (env.objects.name, env.split, env.perception.encoder.name)
     return file_name("perception_matching", parts, USUAL)
 
 
 def finished(name: str, head: dict[str, Any]) -> list[Row]:
-    """Rows that a run of the same code and config has already written: it was cut off."""
+    """Rows already written by an interrupted run of the same commit and config."""
     path = RESULTS / f"{name}.json"
     if not path.exists():
         return []
@@ -230,7 +230,7 @@ def finished(name: str, head: dict[str, Any]) -> list[Row]:
 
 
 def markdown(rows: Sequence[Row]) -> str:
-    """The shares of scenes as a table in Markdown; in brackets Wilson's 95% intervals."""
+    """The shares of scenes as a Markdown table, with Wilson's 95% intervals in brackets."""
     lines = [
         f"| n objects | scenes | {' | '.join(KINDS.values())} | objects right |",
         f"|{' --- |' * (len(KINDS) + 3)}",
@@ -245,7 +245,7 @@ def markdown(rows: Sequence[Row]) -> str:
 
 
 def examples(rows: Sequence[Row]) -> list[tuple[int, int]]:
-    """(n objects, index) of the first right scenes with the most objects, then of failures."""
+    """(n objects, index) of the first correct scenes with the most objects, then of failures."""
     most = rows[-1]
     rights = [k for k in range(most["scenes"]) if k not in most["wrong_scenes"]]
     failures = [(row["n_objects"], k) for row in reversed(rows) for k in row["wrong_scenes"]]
@@ -253,7 +253,7 @@ def examples(rows: Sequence[Row]) -> list[tuple[int, int]]:
 
 
 def figure(scenes: Scenes, matcher: Matcher, rows: Sequence[Row]) -> Picture:
-    """The examples, start and goal side by side, four in a line."""
+    """The examples, start and goal side by side, four in a row."""
     tiles = []
     for n, index in examples(rows):
         each = scenes.draw(n, index)
@@ -268,7 +268,7 @@ def figure(scenes: Scenes, matcher: Matcher, rows: Sequence[Row]) -> Picture:
 def pair(
     each: Scene, found: NDArray[np.int64], verdict: NDArray[np.bool_], scale: int = 3
 ) -> Picture:
-    """Start and goal beside each other, with the matches that were found."""
+    """Start and goal side by side, with the matches found."""
     goal_matches = np.full(len(each.goal.masks), -1)
     goal_wrong = np.zeros(len(each.goal.masks), dtype=bool)
     matched = found >= 0

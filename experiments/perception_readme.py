@@ -1,6 +1,6 @@
-"""The `readme` part of `perception.py`: the main rows of both tables, between README's markers.
+"""The `readme` section of `perception.py`: puts the main rows of both tables into the README.
 
-Rows come from `results/perception_segmentation.json` and `perception_matching.json` as they are.
+Rows are taken unchanged from `results/perception_segmentation.json` and `perception_matching.json`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from sdfgcn.evaluation.report import percent
 from sdfgcn.files import write_text
 
 Row = dict[str, Any]
-ALL = "2 to 6"  # n_objects of a row over every number of objects
+ALL = "2 to 6"  # n_objects of a row over all numbers of objects
 
 
 def run(readme: Path = ROOT / "README.md", results: Path = RESULTS) -> None:
@@ -36,7 +36,7 @@ def run(readme: Path = ROOT / "README.md", results: Path = RESULTS) -> None:
 
 
 def segmentation(rows: Sequence[Row]) -> str:
-    """One row for each catalogue and look; overlap and boundary over all numbers of objects."""
+    """One row per catalogue and look; overlap and boundary over all numbers of objects."""
     lines = [
         "| objects | light and table | overlap F | boundary F | count right, 3 objects "
         "| 6 objects | 2 to 6 |",
@@ -57,7 +57,7 @@ def segmentation(rows: Sequence[Row]) -> str:
 
 
 def matching(rows: Sequence[Row]) -> str:
-    """One row for each number of objects: scenes wholly right, and by mean colour alone."""
+    """One row per number of objects: scenes wholly right, and by mean colour alone."""
     lines = [
         "| n objects | scenes | wholly right | by mean colour alone |",
         "| --- | --- | --- | --- |",

@@ -1,8 +1,8 @@
-"""The segmentation section of `perception.py`: masks found against the renderer's.
+"""The segmentation section of `perception.py`: scores the masks found against the renderer's.
 
-Beside the JSON it writes `results/perception_segmentation.md`, the same as a table, and
-`results/perception_segmentation.png`: pictures, true masks and found masks of the first scenes
-and of the worst.
+Besides the JSON, writes `results/perception_segmentation.md`, the same as a table, and
+`results/perception_segmentation.png`: pictures, true masks and found masks of the first and the
+worst scenes.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ Row = tuple[Example, NDArray[np.bool_], MaskScores]
 
 
 def run(overrides: list[str], scenes: int) -> None:
-    """Score every catalogue in every look; `scenes` of each number of objects."""
+    """Score every catalogue in every look, with `scenes` scenes per number of objects."""
     table, rows_of, seconds = [], {}, []
     for objects in CATALOGUES:
         config = load([*overrides, f"objects={objects}", "robot=gripper", "eval.split=test"])
@@ -77,12 +77,12 @@ def run(overrides: list[str], scenes: int) -> None:
 
 
 def counted(scores: Sequence[MaskScores]) -> tuple[float, float]:
-    """Wilson's 95% interval of the share of scenes whose objects were counted right."""
+    """Wilson's 95% interval of the share of scenes with the right number of masks."""
     return wilson(sum(each.found == each.true for each in scores), len(scores))
 
 
 def segmented(config: Config, look: str, scenes: int, seconds: list[float]) -> Iterator[Row]:
-    """Each scene with the masks found; adds the processor time that each took to `seconds`."""
+    """Yield each scene with the masks found; append the CPU time of each to `seconds`."""
     settings = config.env.perception.segmentation
     segment = SEGMENTERS.find(settings.name)(settings)
     catalogue = load_catalogue(config.env.objects, "test")
@@ -99,7 +99,7 @@ def segmented(config: Config, look: str, scenes: int, seconds: list[float]) -> I
 
 
 def markdown(rows: Sequence[dict[str, Any]]) -> str:
-    """The rows as a table in Markdown; in brackets Wilson's 95% intervals."""
+    """The rows as a Markdown table, with Wilson's 95% intervals in brackets."""
     lines = [
         "| objects | light and table | n objects | scenes | overlap F | boundary F | count right |",
         "| --- | --- | --- | --- | --- | --- | --- |",
@@ -114,13 +114,13 @@ def markdown(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def examples(rows: Sequence[Row], each: int = 6) -> list[Row]:
-    """The first scenes with the most objects, and those with the worst overlap."""
+    """The first scenes with the most objects, and the scenes with the worst overlap."""
     most = [row for row in rows if row[0].n_objects == max(N_OBJECTS)]
     return [*most[:each], *sorted(rows, key=lambda row: row[2].overlap.f)[:each]]
 
 
 def draw(rows: Sequence[Row], columns: int = 12, scale: int = 2) -> None:
-    """Draw picture, true masks and found masks one above the other, for each scene."""
+    """Draw picture, true masks and found masks of each scene, one above the other."""
     strips = [
         np.vstack([view.pixels, painted(view.pixels, view.masks), painted(view.pixels, masks)])
         for view, masks, _ in rows

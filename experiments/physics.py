@@ -1,4 +1,4 @@
-"""Is the physics to be believed? Random pushes over a whole catalogue, and what they did.
+"""A survey of the physics: the effects of random pushes over a whole catalogue.
 
     python experiments/physics.py                        2,000 pushes, scanned objects, gripper
     python experiments/physics.py robot=ur5e pushes=200
@@ -28,7 +28,7 @@ PUSHES_PER_EPISODE = 20
 
 
 def survey(overrides: list[str], pushes: int) -> dict[str, Any]:
-    """Push at random and measure how far objects went and whether they then lay still."""
+    """Push at random; measure how far objects move and whether they come to rest."""
     rng = np.random.default_rng(0)
     moved, worst, crept, sunk = [], [], [], 0
     status: Counter[str] = Counter()
@@ -90,7 +90,7 @@ def survey(overrides: list[str], pushes: int) -> dict[str, Any]:
 
 
 def creep(env: RearrangementEnv) -> float:
-    """How far the objects' centres go in one more second, metres; the state is put back."""
+    """Largest drift of an object's centre in one more second, metres; restores the state."""
     physics, task = env.world.physics, env.world.task
     before = task.poses(physics)
     task.set_poses(physics, before, resting=False)  # awake: what sleeps does not creep
@@ -101,7 +101,7 @@ def creep(env: RearrangementEnv) -> float:
 
 
 def compare(overrides: list[str], pushes: int) -> dict[str, Any]:
-    """The same pushes by the arm and by the floating gripper."""
+    """Compare the same pushes by the arm and by the floating gripper."""
     rng = np.random.default_rng(0)
     envs = {
         robot: RearrangementEnv(load([*overrides, f"robot={robot}"]).env)

@@ -1,4 +1,4 @@
-"""What the figures of `perception.py` share: colours, masks painted or outlined, and sheets."""
+"""Shared by the figures of `perception.py`: colours, painted or outlined masks, and sheets."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ OUTLINE = 3  # pixels of the enlarged picture
 
 
 def painted(pixels: Picture, masks: NDArray[np.bool_]) -> Picture:
-    """[H, W, 3] the picture darkened, each mask in a colour of its own."""
+    """[H, W, 3] the darkened picture with each mask in its own colour."""
     picture = pixels // 3
     for k, mask in enumerate(masks):
         picture[mask] = COLOURS[k % len(COLOURS)]
@@ -42,14 +42,14 @@ def outlined(
     wrong: Sequence[bool],
     scale: int,
 ) -> Picture:
-    """Enlarge a picture, outline what is matched in the colour of its match, frame mistakes in red.
+    """Enlarge a picture, outline masks in the colour of their match, frame mistakes in red.
 
     Args:
         pixels: [H, W, 3].
         masks: [m, H, W].
-        matches: [m] the match that each belongs to, -1 for none.
-        wrong: [m] whether that match is a mistake.
-        scale: Pixels of the result for each of the picture's.
+        matches: [m] index of each mask's match, -1 for none.
+        wrong: [m] whether the match is wrong.
+        scale: Factor of enlargement.
     """
     picture = enlarged(pixels, scale).copy()
     for mask, match in zip(masks, matches, strict=True):
@@ -76,7 +76,7 @@ def titled(picture: Picture, title: str, height: int = 22) -> Picture:
 
 
 def sheet(tiles: Sequence[Picture], columns: int, gap: int = 0) -> Picture:
-    """Lay tiles of one size out in lines, on white."""
+    """Arrange tiles of one size in rows, on white."""
     height, width = tiles[0].shape[:2]
     lines = -(-len(tiles) // columns)
     paper = np.full((lines * (height + gap), columns * (width + gap), 3), 255, dtype=np.uint8)
@@ -88,7 +88,7 @@ def sheet(tiles: Sequence[Picture], columns: int, gap: int = 0) -> Picture:
 
 
 def save_png(name: str, picture: Picture) -> None:
-    """Write `results/<name>.png` in one step."""
+    """Write `results/<name>.png` atomically."""
     RESULTS.mkdir(parents=True, exist_ok=True)
     with replaced(RESULTS / f"{name}.png") as part:
         Image.fromarray(picture).save(part, optimize=True)

@@ -3,10 +3,10 @@
     python experiments/table.py rule_based multirun/2026-01-31/12-00-00 outputs/2026-01-31/14-00-00
     python experiments/table.py rule_based FOLDER... --readme README.md
 
-Takes every run folder at or below the folders given and writes `results/<name>.json` (each run's
-whole `results.json`, what was set on its command line and the paper's figure) and
-`results/<name>.md`. With `--readme`, the table also goes between the lines
-`<!-- results:<name> -->` and `<!-- /results -->` of that file.
+Takes every run folder at or below the given folders and writes `results/<name>.json` (each run's
+`results.json`, its command line's overrides and the paper's figure) and `results/<name>.md`. With
+`--readme`, the table is also inserted between the lines `<!-- results:<name> -->` and
+`<!-- /results -->` of that file.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ END = "<!-- /results -->"
 
 
 def collect(folders: Iterable[Path]) -> list[Row]:
-    """Read the finished runs at or below the folders; a run that is not done is named on stderr.
+    """Read the finished runs at or below the folders; list unfinished ones on stderr.
 
     Returns:
-        One row a run: its `results.json`, with `overrides`, `ended` and `paper` added.
+        One row per run: its `results.json`, with `overrides`, `ended` and `paper` added.
 
     Raises:
-        SdfgcnError: One of the folders holds no finished run, or a run's file is damaged.
+        SdfgcnError: A folder holds no finished run, or a run's file is damaged.
     """
     rows: dict[Path, Row] = {}
     for folder in folders:
@@ -61,7 +61,7 @@ def _order(row: Row) -> tuple:
 
 
 def filled(text: str, name: str, content: str, file: Path) -> str:
-    """Return a text with `content` between the marker lines of the table `name`.
+    """Return `text` with `content` between the marker lines of the table `name`.
 
     Raises:
         SdfgcnError: The text lacks the markers.
@@ -94,7 +94,7 @@ def _row(results: dict[str, Any], status: dict[str, Any]) -> Row:
 def arguments_of(
     parser: argparse.ArgumentParser, given: Sequence[str] | None
 ) -> argparse.Namespace:
-    """Parse the command line of a table: a name, the parser's own arguments, where files go."""
+    """Parse the command line of a table: the parser's own arguments, and where files go."""
     parser.add_argument("--readme", type=Path, help="a file with marker lines to fill as well")
     parser.add_argument("--results", type=Path, default=RESULTS, help="where the files go")
     parsed = parser.parse_args(given)
@@ -106,15 +106,15 @@ def arguments_of(
 def publish(
     given: argparse.Namespace, name: str, make: Callable[[], tuple[str, Callable[[Path], None]]]
 ) -> int:
-    """Write `<name>.md`, its companions and the README's copy, print the table; all or none.
+    """Write `<name>.md`, its companion files and the README's copy, and print the table.
 
     Args:
         given: What `arguments_of` returned.
-        name: Of the files and of the README's marker.
-        make: Returns the table, and what writes the other files into a folder.
+        name: Name of the files and of the README's marker.
+        make: Returns the table, and a function that writes the other files into a folder.
 
     Returns:
-        The exit code: 1 where something was wrong, said in a sentence on stderr.
+        The exit code: 1 after an error, which is printed on stderr.
     """
     try:
         table, write_others = make()

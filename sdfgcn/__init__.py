@@ -1,4 +1,4 @@
-"""Push objects into the arrangement that a goal picture shows, by Q-learning on SDF graphs.
+"""Push objects into the arrangement shown in a goal picture, by Q-learning on SDF graphs.
 
 env = sdfgcn.make_env("objects=household", "robot=gripper")
 policy = sdfgcn.load_policy("sdfgcn")
@@ -22,10 +22,10 @@ os.environ.setdefault("MUJOCO_GL", "egl")  # before MuJoCo loads: render without
 
 
 def make_env(*overrides: str) -> RearrangementEnv:
-    """The environment of a config.
+    """Build the environment of a config.
 
     Args:
-        overrides: As on the command line: `make_env("n_objects=2", "robot=gripper")`.
+        overrides: As on the command line, such as `make_env("n_objects=2", "robot=gripper")`.
 
     Raises:
         SdfgcnError, HydraException, OmegaConfBaseException: See `load_config`, and
@@ -38,7 +38,7 @@ def make_env(*overrides: str) -> RearrangementEnv:
 
 
 def __getattr__(name: str) -> Any:
-    """Load what takes long, torch above all, when it is first asked for."""
+    """Import slow modules, torch above all, only on first use."""
     if name in ("conf_dir", "load_config"):
         from sdfgcn import compose
 

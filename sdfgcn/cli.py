@@ -1,7 +1,7 @@
-"""The command `sdfgcn`: train if need be, evaluate, write a run folder; `--help` lists its keys.
+"""The command `sdfgcn`: train if needed, evaluate, write a run folder; `--help` lists its keys.
 
-The run folder holds the config, a row for each episode, the results and the recordings. When
-something is wrong, there is one sentence on stderr, and the exit code is 1.
+The run folder holds the config, a row per episode, the results and the recordings. An error the
+user can fix is one sentence on stderr, with exit code 1.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
 def main() -> None:
-    """Do what the command line says.
+    """Run the command line.
 
     Raises:
         SystemExit: See `run_plainly`.
@@ -60,10 +60,9 @@ def run(cfg: DictConfig) -> float:
 
 
 def run_plainly(main: Callable[[], Any]) -> None:
-    """Run what `hydra.main` decorated; a mistake the user can mend becomes one sentence on stderr.
+    """Run a `hydra.main` function; an error the user can fix becomes one sentence on stderr.
 
-    With the environment variable HYDRA_FULL_ERROR=1, and for any other error, there is the
-    traceback.
+    Any other error shows its traceback, as does every error if HYDRA_FULL_ERROR=1 is set.
 
     Raises:
         SystemExit: Code 1 after such a sentence, 130 after Ctrl-C.
@@ -71,7 +70,7 @@ def run_plainly(main: Callable[[], Any]) -> None:
     if os.environ.get(_FULL_ERROR) == "1":
         main()
         return
-    os.environ[_FULL_ERROR] = "1"  # Hydra raises then, instead of printing lines of its own
+    os.environ[_FULL_ERROR] = "1"  # makes Hydra raise instead of printing its own message
     try:
         with contextlib.redirect_stderr(_WithoutPreamble(sys.stderr)):
             main()
@@ -86,14 +85,14 @@ def run_plainly(main: Callable[[], Any]) -> None:
 
 
 def to_sentence(error: BaseException) -> str | None:
-    """Tell an error in one sentence, or return None for one the user cannot mend."""
+    """Describe an error in one sentence; None if the user cannot fix it."""
     if isinstance(error, SdfgcnError):
         return str(error)
     if isinstance(error, MissingConfigException):
         return _tell_missing_option(error)
     if isinstance(error, HydraException | OmegaConfBaseException):
         return _tell_config_error(error)
-    for link in _causes(error):  # Hydra makes the run folder and opens its log there
+    for link in _causes(error):  # Hydra creates the run folder and opens its log there
         if isinstance(link, OSError) and (link.filename or link.errno in _DISK_FULL):
             return (
                 f"Cannot use {link.filename or 'the run folder'} ({link.strerror}); choose "
@@ -103,7 +102,7 @@ def to_sentence(error: BaseException) -> str | None:
 
 
 class LogFailedJob(Callback):
-    """Logs a job of a sweep that fails, since Hydra raises only the first one's error."""
+    """Logs every failed job of a sweep, since Hydra raises only the first error."""
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **kwargs: Any) -> None:
         """Log the job's error, if it has one."""
@@ -114,7 +113,7 @@ class LogFailedJob(Callback):
 
 
 class _WithoutPreamble:
-    """Stderr without the line that Hydra writes before it raises a job's error."""
+    """Stderr without the line that Hydra prints before it raises a job's error."""
 
     def __init__(self, stderr: TextIO) -> None:
         self._stderr = stderr
@@ -135,7 +134,7 @@ def _causes(error: BaseException | None) -> Iterator[BaseException]:
 
 
 def _tell_missing_option(error: MissingConfigException) -> str:
-    """Hydra lists the options one a line, and its search path."""
+    """Shorten Hydra's message, which prints one option per line and its search path."""
     group, _, option = (error.missing_cfg_file or "").rpartition("/")
     if not error.options:
         return _as_sentence(_gist(error))
@@ -143,7 +142,7 @@ def _tell_missing_option(error: MissingConfigException) -> str:
 
 
 def _tell_config_error(error: BaseException) -> str:
-    """Hydra names the override, and OmegaConf, mostly as its cause, the key and what is wrong."""
+    """Hydra's error names the override; its cause, mostly OmegaConf's, the key and the problem."""
     override = re.search(r"Could not override '([^']+)'", str(error))
     for link in _causes(error):
         key = re.search(r"full_key: (\S+)", str(link))
@@ -160,7 +159,7 @@ def _tell_config_error(error: BaseException) -> str:
 
 
 def _hint(asked: str) -> str:
-    """Name the keys or the group that was probably meant."""
+    """Suggest the keys or the group that was probably meant."""
     meant: dict[str, list[str]] = {}
     keys = _all_keys()
     if asked in keys:
@@ -179,7 +178,7 @@ def _hint(asked: str) -> str:
 
 
 def _all_keys() -> set[str]:
-    """Every key of every option."""
+    """All keys of all options."""
     keys = set(_keys(yaml.safe_load((conf_dir() / "config.yaml").read_text(encoding="utf-8"))))
     for folder in (conf_dir(), *component_dirs()):
         for file in folder.glob("*/*.yaml"):
@@ -199,7 +198,7 @@ def _keys(values: dict[str, Any], prefix: str = "") -> Iterator[str]:
 
 
 def _gist(error: BaseException) -> str:
-    """The line that says what is wrong: the last before OmegaConf's details, else the first."""
+    """The line that states the problem: the last before OmegaConf's details, else the first."""
     before, details, _ = str(error).strip().partition("full_key:")
     line = before.strip().splitlines()[-1 if details else 0]
     line = re.sub(r"Invalid value assigned: \w+ is not a ListConfig.*", "must be a list", line)

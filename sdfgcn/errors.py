@@ -1,9 +1,9 @@
-"""The one exception that means "the user can fix this"."""
+"""The exception for errors that the user can fix."""
 
 
 class SdfgcnError(Exception):
-    """A mistake the user can mend, told in one sentence.
+    """An error that the user can fix, described in one sentence.
 
-    The sentence says what is wrong, the value seen and what would work. The command `sdfgcn`
+    The sentence says what is wrong, which value was given and what would work. The command `sdfgcn`
     prints it on stderr without a traceback and exits with code 1.
     """

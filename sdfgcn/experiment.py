@@ -1,4 +1,4 @@
-"""One run from its config to its results, in its run folder."""
+"""One run, from its config to its results, in its run folder."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from sdfgcn.run_folder import RunFolder
 
 
 def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
-    """Train if the model is to be trained, play the missing episodes, write the results of all.
+    """Train if needed, play the missing episodes and write the results of all episodes.
 
     Returns the content of `results.json`.
 
     Raises:
-        SdfgcnError: What it needs is not there: the objects, room for a layout.
+        SdfgcnError: The objects are not available, or a layout does not fit on the table.
     """
-    from sdfgcn.objects.catalogue import load_catalogue  # loads MuJoCo: it fails without OpenGL
+    from sdfgcn.objects.catalogue import load_catalogue  # loads MuJoCo, which needs OpenGL
 
-    load_catalogue(config.env.objects, config.env.split)  # once, before workers would each do it
+    load_catalogue(config.env.objects, config.env.split)  # once, rather than in every worker
     logger = LOGGERS.find(config.logger.name)(config.logger, folder.path)
     if isinstance(config.model, QNetworkConfig):
         config = with_policy(config, folder, logger)
@@ -42,18 +42,18 @@ def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
 
 
 def with_policy(config: Config, folder: RunFolder, logger: Logger) -> Config:
-    """The config with the checkpoint that a Q-network is evaluated from; trained if there is none.
+    """The config with the checkpoint to evaluate; a Q-network without one is trained first.
 
-    A trained policy goes into the folder `policy` of the run folder.
+    The trained policy is saved in `policy` of the run folder.
 
     Raises:
-        SdfgcnError: The checkpoint given is no policy; or see `sdfgcn.train.training.train`.
+        SdfgcnError: The given checkpoint is not a policy; or see `sdfgcn.train.training.train`.
     """
     from sdfgcn.agents.policy import ABOUT, RELEASED, find_policy, read_about  # loads torch
 
     if config.checkpoint is not None:
         found = find_policy(config.checkpoint)
-        if found.parent == RELEASED:  # its name says more than where it is installed
+        if found.parent == RELEASED:  # its name is more telling than its installed path
             return config
         return replace(config, checkpoint=str(found))
     policy = folder.path / "policy"

@@ -1,4 +1,4 @@
-"""Writing files so that a reader never sees half of one, and CSV tables on top of that."""
+"""Atomic file writes, and CSV tables built on them."""
 
 from __future__ import annotations
 
@@ -16,18 +16,13 @@ from sdfgcn.errors import SdfgcnError
 
 @contextmanager
 def replaced(path: Path) -> Iterator[Path]:
-    """Give a temporary path that replaces `path` in one step when the block ends well.
+    """Yield a temporary path whose file replaces `path` atomically when the block succeeds.
 
-    The folder of `path` must exist.
-
-    The temporary file has the suffix of `path`, so that libraries which take the format from the
-    name pick the right one. It is removed if the block raises.
-
-    Yields:
-        Where to write, in the same folder.
+    The folder of `path` must exist. The temporary file lies in it and has the suffix of `path`,
+    for libraries that infer the format from the name. It is removed if the block raises.
     """
     part = path.with_name(f".{path.stem}.part{path.suffix}")
-    part.unlink(missing_ok=True)  # left by a process that was killed
+    part.unlink(missing_ok=True)  # left by a killed process
     try:
         yield part
         with part.open("rb") as file:
@@ -38,33 +33,33 @@ def replaced(path: Path) -> Iterator[Path]:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file in one step: it appears whole or not at all."""
+    """Write a text file atomically."""
     with replaced(path) as part:
         part.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file in one step.
+    """Write a JSON file atomically.
 
     Raises:
-        ValueError: A number is not finite; JSON has no such value.
+        ValueError: A number is not finite, which JSON cannot hold.
     """
     write_text(path, json.dumps(content, indent=2, allow_nan=False) + "\n")
 
 
 class CsvTable:
-    """A CSV file with a fixed header. Every row that was added is in the file at once."""
+    """A CSV file with a fixed header; each added row is written immediately."""
 
     def __init__(self, path: Path, columns: Sequence[str]) -> None:
-        """Name the file and its header; nothing is read or written yet."""
+        """Set the file and its header; nothing is read or written yet."""
         self._path = path
         self._columns = tuple(columns)
-        self._whole = False  # whether the file is known to end with a whole line
+        self._whole = False  # whether the file is known to end with a complete line
 
     def read(self) -> list[dict[str, str]]:
-        """Return the rows, by column; none if there is no file.
+        """Return the rows, keyed by column; none if there is no file.
 
-        A last line without its end is left out: the process was killed while it wrote.
+        An incomplete last line, left by a killed process, is ignored.
 
         Raises:
             SdfgcnError: The file has other columns, or a row has too few or too many cells.
@@ -82,19 +77,19 @@ class CsvTable:
         return [dict(zip(self._columns, cells, strict=True)) for cells in lines[1:]]
 
     def append(self, *rows: Mapping[str, Any]) -> None:
-        """Add rows at the end; they are in the file when this returns."""
+        """Append rows; they are in the file when this returns."""
         if not self._whole:
             self.keep()
         with self._path.open("a", encoding="utf-8", newline="") as file:
             file.write(self._lines(rows))
 
     def write(self, rows: Iterable[Mapping[str, Any]]) -> None:
-        """Replace the whole table in one step."""
+        """Replace the whole table atomically."""
         write_text(self._path, ",".join(self._columns) + "\n" + self._lines(rows))
         self._whole = True
 
     def keep(self, wanted: Callable[[dict[str, str]], bool] = lambda row: True) -> None:
-        """Drop the rows that are not wanted, and half a line at the end."""
+        """Keep only the wanted rows; an incomplete last line is dropped too."""
         self.write([row for row in self.read() if wanted(row)])
 
     def _lines(self, rows: Iterable[Mapping[str, Any]]) -> str:

@@ -1,4 +1,4 @@
-"""Whether MuJoCo can render here, asked before anything is built."""
+"""Early check that MuJoCo can render on this machine."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ mujoco.Physics.from_xml_string(sphere).render(8, 8)
 
 
 def check_opengl() -> None:
-    """Render one small picture, in a process of its own: a bad driver may print, hang or crash.
+    """Render a small picture in a subprocess, since a bad driver may print, hang or crash.
 
     Raises:
-        SdfgcnError: It did not work; the sentence says what to set.
+        SdfgcnError: Rendering failed; the message says what to set.
     """
     try:
         subprocess.run([sys.executable, "-c", _RENDER], check=True, capture_output=True, timeout=60)

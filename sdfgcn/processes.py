@@ -1,4 +1,4 @@
-"""What every worker process does that we start."""
+"""Set-up shared by all worker processes."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import threading
 
 
 def follow_parent() -> None:
-    """Leave Ctrl-C to the parent process, and end this one when the parent ends.
+    """Leave Ctrl-C to the parent process, and exit when the parent does.
 
-    A worker whose parent was killed would wait for work forever.
+    Otherwise a worker would wait forever for work from a killed parent.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()

@@ -1,8 +1,8 @@
 """The run folder: config, state, episodes, results and recordings of one run.
 
-A run can be cut off at any moment. What `status.json` says then: `done` only when the results
-stand; `failed` with the reason; `running` with its process id when the process was killed. The
-same folder as `hydra.run.dir` goes on from the episodes it holds.
+A run may be interrupted at any moment. Its `status.json` then reads `done` (only once the results
+are written), `failed` with the reason, or `running` with its process id if the process was killed.
+A run with the same `hydra.run.dir` resumes from the episodes in the folder.
 """
 
 from __future__ import annotations
@@ -25,20 +25,20 @@ from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.episodes import EpisodeResult, EpisodeTable
 from sdfgcn.files import write_json, write_text
 
-# Keys that change how a run is executed or shown, not what its episodes are.
+# Keys that change how a run is executed or shown, but not its episodes.
 _FREE_KEYS = ("runtime.", "viz.", "logger.", "eval.name", "eval.episodes")
 
 
 class RunFolder:
-    """Holds a run folder for the length of one run; use it as a context manager."""
+    """Holds a run folder for the duration of one run; use it as a context manager."""
 
     def __init__(self, path: Path, cfg: DictConfig, overrides: Sequence[str] = ()) -> None:
-        """Name the folder; nothing is read or written before `__enter__`.
+        """Set the folder; nothing is read or written before `__enter__`.
 
         Args:
             path: The folder; it is created if needed.
             cfg: The run's config.
-            overrides: What was set on the command line, kept in `status.json`.
+            overrides: The command line's overrides, kept in `status.json`.
         """
         self.path = path
         self._cfg = cfg
@@ -50,10 +50,10 @@ class RunFolder:
         self._clock = 0.0
 
     def __enter__(self) -> RunFolder:
-        """Claim the folder, check that what it holds belongs to this config, mark it running.
+        """Lock the folder, check that its episodes belong to this config, mark it running.
 
         Raises:
-            SdfgcnError: Another process runs in it, or its episodes are another experiment's.
+            SdfgcnError: Another process uses it, or its episodes are from another experiment.
         """
         self.path.mkdir(parents=True, exist_ok=True)
         try:
@@ -71,7 +71,7 @@ class RunFolder:
         return self
 
     def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
-        """Write the last state and let the folder go."""
+        """Write the final state and release the folder."""
         try:
             if error is None:
                 self._write_status(state="done", ended=_now())
@@ -87,19 +87,19 @@ class RunFolder:
 
     @property
     def wall_s(self) -> float:
-        """Wall seconds spent on this folder, over every time it was gone on with."""
+        """Wall time spent on this folder, seconds, including time before a restart."""
         return round(self._earlier_s + time.monotonic() - self._clock, 3)
 
     @property
     def finished(self) -> list[EpisodeResult]:
-        """The episodes that the folder holds, sorted by index."""
+        """The episodes in the folder, sorted by index."""
         return self._table.read()
 
     def keep(self, episodes: Iterable[EpisodeResult]) -> list[EpisodeResult]:
-        """Keep each episode as it comes, in any order, and return all that the folder holds.
+        """Save each episode as it arrives, in any order.
 
         Returns:
-            Every episode, sorted by index, as the rewritten `episodes.csv` has them.
+            All episodes in the folder, sorted by index, as in the rewritten `episodes.csv`.
         """
         for episode in episodes:
             self._table.append(episode)
@@ -157,13 +157,13 @@ class RunFolder:
 
 
 def _binding(cfg: Any) -> dict[str, Any]:
-    """A config with dotted keys, without those that do not change an episode."""
+    """A config with dotted keys, without those that do not affect episodes."""
     values: Any = OmegaConf.to_container(cfg)
     return {key: value for key, value in flat(values).items() if not key.startswith(_FREE_KEYS)}
 
 
 def _earlier_seconds(status: Path) -> float:
-    """Return the wall seconds an earlier process spent, as its last status says."""
+    """Return the wall time of earlier processes, seconds, from the last status."""
     if not status.exists():
         return 0.0
     return float(json.loads(status.read_text(encoding="utf-8")).get("wall_s", 0.0))

@@ -1,1 +1,1 @@
-"""From a trained or written agent to a row: episodes, intervals, and the paper's figures beside."""
+"""Evaluation of agents: episodes, results with intervals, and the paper's figures."""

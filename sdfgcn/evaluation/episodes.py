@@ -1,4 +1,4 @@
-"""One episode's result, and the table `episodes.csv` that keeps them."""
+"""The result of an episode, and the table `episodes.csv`."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from sdfgcn.files import CsvTable
 
 @dataclass(frozen=True)
 class EpisodeResult:
-    """What came of one episode: one row of `episodes.csv`.
+    """The result of one episode: one row of `episodes.csv`.
 
     Attributes:
         episode: Its index in the evaluation, from 0.
-        seed: Its own seed: start, goal and objects follow from it and the config.
+        seed: Its own seed, which with the config determines start, goal and objects.
         n_objects: Objects on the table.
-        objects: Their names in slot order, joined by ";".
-        success: Every object lay within the threshold of its goal at the same moment.
+        objects: Object names in slot order, joined by ";".
+        success: All objects were within the threshold of their goals at the same time.
         pushes: Pushes taken.
-        error_mm: Final distance to the goal, mean over the objects, millimetres.
+        error_mm: Final distance to the goal, mean over objects, millimetres.
         out_of_range: An object left the allowed region.
         truncated: The step limit ended the episode.
-        return_: Sum of the rewards; the column is called `return`.
+        return_: Undiscounted return; the column is called `return`.
         wall_s: Wall time, seconds.
     """
 
@@ -52,7 +52,7 @@ _READ: dict[str, Callable[[str], Any]] = {
 
 
 class EpisodeTable:
-    """`episodes.csv`: every finished episode is in the file at once, so a cut run can go on."""
+    """`episodes.csv`: each episode is saved as it ends, so an interrupted run can resume."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -62,7 +62,7 @@ class EpisodeTable:
         """Return the finished episodes, sorted by index; none if there is no file.
 
         Raises:
-            SdfgcnError: The file is not such a table.
+            SdfgcnError: The file is not a table of episodes.
         """
         try:
             episodes = {row["episode"]: _parse(row) for row in self._table.read()}
@@ -74,7 +74,7 @@ class EpisodeTable:
         return sorted(episodes.values(), key=lambda episode: episode.episode)
 
     def append(self, episode: EpisodeResult) -> None:
-        """Add one row at the end."""
+        """Append one row."""
         self._table.append(_row(episode))
 
     def write(self, episodes: Iterable[EpisodeResult]) -> None:

@@ -1,7 +1,7 @@
-"""Playing evaluation episodes, in this process or in parallel ones.
+"""Playing evaluation episodes, in this process or in parallel workers.
 
-Every episode has its own seed, drawn from `eval.seed` and the episode's index, and its own
-generator for the agent. So its result does not depend on which process plays it, or when.
+Every episode has its own seed and agent generator, derived from `eval.seed` and the episode's
+index, so its result does not depend on which process plays it, or when.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from sdfgcn.evaluation.play import Env, Recorder, episode_seeds, play_episode
 from sdfgcn.loggers import Logger
 from sdfgcn.processes import follow_parent
 
-# What loads torch is imported where it is used: the main process of parallel workers needs none.
+# Modules that load torch are imported where used: a main process with workers needs none.
 if TYPE_CHECKING:
     from sdfgcn.models.q_network import QNetwork
 
@@ -45,13 +45,13 @@ def make_rearrangement(env: EnvConfig) -> Env:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """What to play: picklable, so that a worker process can be given it.
+    """What to play; picklable, so that it can be sent to workers.
 
     Attributes:
-        config: The whole experiment.
+        config: The whole config.
         recordings: Folder for the recordings of the first `config.viz.episodes` episodes.
-        make_recorder: Builds the recorder of an episode, given the file to write.
-        make_env: Builds the environment; called once a process.
+        make_recorder: Builds an episode's recorder, given the file to write.
+        make_env: Builds the environment; called once per process.
     """
 
     config: Config
@@ -61,14 +61,14 @@ class Evaluation:
 
 
 def evaluate(evaluation: Evaluation, finished: Iterable[int] = ()) -> Iterator[EpisodeResult]:
-    """Play the episodes of an evaluation that are not finished yet.
+    """Play the unfinished episodes of an evaluation.
 
     Args:
         evaluation: What to play.
-        finished: Indices of episodes to leave out.
+        finished: Indices of episodes to skip.
 
     Yields:
-        Each episode when it ends; with workers, in the order in which they end.
+        Each episode as it ends; with workers, in order of completion.
 
     Raises:
         SdfgcnError: A layout cannot be placed, or a worker process died.
@@ -84,16 +84,15 @@ def evaluate(evaluation: Evaluation, finished: Iterable[int] = ()) -> Iterator[E
 def watch(
     episodes: Iterable[EpisodeResult], finished: Sequence[EpisodeResult], total: int, logger: Logger
 ) -> Iterator[EpisodeResult]:
-    """Pass episodes on, with a progress bar and running figures.
+    """Yield episodes unchanged, with a progress bar and running metrics.
 
-    The bar shows the time left and the success rate so far. It is on stderr, and only on a
-    terminal.
+    The bar shows the time left and the success rate so far, on stderr if that is a terminal.
 
     Args:
         episodes: The episodes as they end.
-        finished: Those that were there before.
-        total: How many the evaluation has.
-        logger: Takes the figures; its step is the number of episodes that have ended.
+        finished: The episodes from before.
+        total: Number of episodes in the evaluation.
+        logger: Receives the metrics; the step is the number of finished episodes.
     """
     successes = sum(episode.success for episode in finished)
     with tqdm(total=total, initial=len(finished), unit="episode", disable=None) as bar:
@@ -113,15 +112,14 @@ def watch(
 
 
 class HeldOutEvaluation:
-    """Greedy episodes of a network that is being trained, on the evaluation's first scenes."""
+    """Greedy evaluation of a network during training, on the evaluation's first scenes."""
 
     def __init__(self, config: Config, make_env: MakeEnv = make_rearrangement) -> None:
-        """Prepare it; the environment is built when the first network comes.
+        """Set up the evaluation; the environment is built at the first call.
 
         Args:
-            config: The whole experiment: `eval.seed`, `train.eval_episodes` and the evaluation's
-                environment.
-            make_env: Builds that environment.
+            config: The whole config; `eval.seed`, `train.eval_episodes` and `env` are used.
+            make_env: Builds the environment of `env`.
         """
         self._config = config
         self._make_env = make_env
@@ -158,7 +156,7 @@ class HeldOutEvaluation:
 
 
 class _Player:
-    """Plays episodes of one evaluation in one environment, built when first needed."""
+    """Plays episodes of one evaluation in one environment, built on first use."""
 
     def __init__(self, evaluation: Evaluation, stopped: Callable[[], bool]) -> None:
         self._evaluation = evaluation
@@ -207,9 +205,9 @@ def _in_this_process(evaluation: Evaluation, episodes: Sequence[int]) -> Iterato
 
 def _in_workers(evaluation: Evaluation, episodes: Sequence[int]) -> Iterator[EpisodeResult]:
     if multiprocessing.get_start_method() not in multiprocessing.get_all_start_methods():
-        # A process of joblib's launcher: its own start method is unknown to processes spawned here.
+        # Under joblib's launcher, whose start method is unknown to processes spawned here.
         multiprocessing.set_start_method("spawn", force=True)
-    context = multiprocessing.get_context("spawn")  # a forked OpenGL context does not work
+    context = multiprocessing.get_context("spawn")  # OpenGL contexts do not survive a fork
     stop = context.Event()
     workers = min(evaluation.config.runtime.workers, len(episodes))
     pool = ProcessPoolExecutor(workers, context, _start_worker, (evaluation, stop))
@@ -231,13 +229,13 @@ def _as_they_end(futures: Sequence[Future[EpisodeResult]]) -> Iterator[EpisodeRe
         ) from error
 
 
-_player: _Player | None = None  # the worker process's own
+_player: _Player | None = None  # one per worker process
 
 
 def _start_worker(evaluation: Evaluation, stop: Event) -> None:
     global _player
-    follow_parent()  # on Ctrl-C it sets `stop`
-    atexit.register(os._exit, 0)  # freeing torch and OpenGL at the end takes two seconds
+    follow_parent()  # the parent sets `stop` on Ctrl-C
+    atexit.register(os._exit, 0)  # freeing torch and OpenGL would take two seconds
     _player = _Player(evaluation, stopped=stop.is_set)
 
 

@@ -1,4 +1,4 @@
-"""What the paper reports in simulation (tables I and II), to print beside our own rows."""
+"""The paper's simulation results (tables I and II), to print beside our own."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ class PaperFigure:
     """One row of a table of the paper.
 
     Attributes:
-        method: The model, or the paper's name for the way in which it was trained.
-        table: Which table it stands in.
+        method: The model, or the paper's name for how it was trained.
+        table: The table it is from.
         success_rate: Share of successful episodes, 0 to 1.
-        pushes: Mean number over the successful episodes; None where none succeeded.
-        error_mm: Mean position error over the successful episodes, millimetres; None likewise.
+        pushes: Mean over successful episodes; None if there are none.
+        error_mm: Mean position error over successful episodes, millimetres; None if there are none.
     """
 
     method: str
@@ -26,7 +26,7 @@ class PaperFigure:
 
 _Figures = tuple[float, float | None, float | None]
 
-# Table I: 3 objects, seen in training and held out from it; trained with 3 objects.
+# Table I: 3 objects, from the training or the test split; trained with 3 objects.
 _TABLE_I: dict[str, dict[str, _Figures]] = {
     "rule_based": {"train": (0.68, 57.7, 30.7), "test": (0.69, 59.1, 28.8)},
     "pose_gcn": {"train": (0.40, 45.1, 30.1), "test": (0.33, 33.7, 33.7)},
@@ -37,8 +37,8 @@ _TABLE_I: dict[str, dict[str, _Figures]] = {
     "sdfgcn": {"train": (0.80, 35.0, 29.5), "test": (0.80, 34.6, 31.3)},
 }
 
-# Table II: objects held out from training, by their number. Its rows for 3 objects repeat table I
-# for the rule-based agent and SDFGCN-fixed.
+# Table II: test objects, by their number. For 3 objects, the rows of the rule-based agent and of
+# SDFGCN-fixed repeat table I.
 _TABLE_II: dict[str, dict[int, _Figures]] = {
     "rule_based": {
         2: (0.78, 35.2, 31.2),
@@ -86,12 +86,12 @@ def paper_figure(
         model: An option of `conf/model/`.
         split: "train" or "test" objects.
         n_objects: Objects on the table.
-        curriculum: The option of `conf/curriculum/` that the model was trained with; None for one
-            that is not trained, or where it is not known.
-        trained_objects: Objects in a training episode; counts only for `curriculum` "off".
+        curriculum: The option of `conf/curriculum/` that the model was trained with; None if it is
+            not trained, or this is unknown.
+        trained_objects: Objects in a training episode; used only if `curriculum` is "off".
 
     Returns:
-        The figure, or None where the paper has none for a model trained like this.
+        The figure, or None if the paper has none for a model trained in this way.
     """
     if model not in _TABLE_I:
         return None

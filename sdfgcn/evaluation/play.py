@@ -12,50 +12,50 @@ import numpy as np
 
 from sdfgcn.evaluation.episodes import EpisodeResult
 
-# What loads torch is imported where it is used: the main process of parallel workers needs none.
+# Modules that load torch are imported where used: a main process with workers needs none.
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from torch import Tensor
 
     from sdfgcn.envs.records import EpisodeStart, StepRecord
 
-# Sets `action` on an observation, and `action_value` if a Q-network picked it.
+# Sets `action` in an observation, and `action_value` if a Q-network chose it.
 Policy = Callable[["TensorDictBase"], "TensorDictBase"]
 
 
 class Env(Protocol):
-    """What an evaluation needs of an environment (sdfgcn/envs)."""
+    """The part of an environment (sdfgcn/envs) that an evaluation uses."""
 
     record: bool
     episode_start: EpisodeStart
     last_step: StepRecord
 
     def reset_episode(self, seed: int) -> TensorDictBase:
-        """Begin the episode that the seed and the config define."""
+        """Start the episode determined by the seed and the config."""
 
     def step(self, td: TensorDictBase) -> TensorDictBase:
-        """Execute `td["action"]`; what follows stands under "next"."""
+        """Execute `td["action"]`; the result is under "next"."""
 
     def close(self) -> Any:
         """Free the simulation."""
 
 
 class Recorder(Protocol):
-    """What an evaluation needs of a recorder (sdfgcn/viz)."""
+    """The part of a recorder (sdfgcn/viz) that an evaluation uses."""
 
     def start(self, episode: EpisodeStart) -> None:
-        """Take the start of an episode."""
+        """Record the start of an episode."""
 
     def step(self, step: StepRecord) -> None:
-        """Take one push."""
+        """Record one push."""
 
 
 class EpisodeStoppedError(Exception):
-    """The run ended while this episode was being played."""
+    """The run was stopped during this episode."""
 
 
 def episode_seeds(seed: int, episode: int) -> tuple[int, np.random.Generator]:
-    """Derive one episode's randomness from the evaluation's seed.
+    """Derive an episode's randomness from the evaluation's seed.
 
     Args:
         seed: The evaluation's seed.
@@ -79,15 +79,15 @@ def play_episode(
     """Play one episode to its end.
 
     Args:
-        env: Where.
-        policy: Who picks the pushes.
-        episode: Its index in the evaluation.
-        seed: Its seed.
-        recorder: Takes the start and every push, if given.
-        stopped: Asked before each push; the episode is given up when it says so.
+        env: The environment.
+        policy: Chooses the pushes.
+        episode: The episode's index in the evaluation.
+        seed: The episode's seed.
+        recorder: Records the start and every push, if given.
+        stopped: Called before each push; the episode is abandoned when it returns True.
 
     Raises:
-        EpisodeStoppedError: `stopped` said so.
+        EpisodeStoppedError: `stopped` returned True.
     """
     clock = time.monotonic()
     env.record = recorder is not None
@@ -107,7 +107,7 @@ def play_episode(
             recorder.step(_with_values(env.last_step, values))
     last, start = env.last_step, env.episode_start
     objects = () if start.truth is None else start.truth.objects
-    known = last.distances[np.isfinite(last.distances)]  # none where nothing is matched any more
+    known = last.distances[np.isfinite(last.distances)]  # empty if no object is matched any more
     return EpisodeResult(
         episode=episode,
         seed=seed,

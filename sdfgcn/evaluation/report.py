@@ -1,4 +1,4 @@
-"""Results laid out beside the paper's: the row that a run prints, and tables of many runs."""
+"""Results beside the paper's: the row that a run prints, and tables of many runs."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from sdfgcn.evaluation.paper import paper_figure
 Results = Mapping[str, Any]  # the content of `results.json`
 Interval = Sequence[float]
 
-# The conditions that the rows of a table may share. One that differs becomes a column; the others
-# stand once above the table. One that is None for every row is not mentioned.
+# Conditions that the rows of a table may share. Those that differ become columns; the others are
+# stated once above the table, unless they are None for every row.
 SHARED = (
     *("model", "split", "scenario", "perception", "curriculum", "epsilon", "loop_distance"),
     "eval_seed",
@@ -29,8 +29,8 @@ _NOTE = (
 
 
 def paper(results: Results) -> dict[str, Any] | None:
-    """The paper's figure for a run like this as a dictionary, or None where it has none."""
-    if results["scenario"] != "random":  # the only one that the paper gives figures for
+    """The paper's figure for such a run as a dictionary, or None if it has none."""
+    if results["scenario"] != "random":  # the only one in the paper
         return None
     figure = paper_figure(
         *(results[key] for key in ("model", "split", "n_objects")),
@@ -43,12 +43,12 @@ def paper(results: Results) -> dict[str, Any] | None:
 
 
 def percent(share: float | None, interval: Interval | None = None, digits: int = 0) -> str:
-    """A share as a table says it: `93%`, or `93% [90, 95]` with its interval; `-` for None."""
+    """Format a share: `93%`, or `93% [90, 95]` with its interval; `-` for None."""
     return _cell(share, interval, 100, digits, "%")
 
 
 def decimal(value: float | None, interval: Interval | None = None, digits: int = 1) -> str:
-    """A number as a table says it: `26.2`, or `26.2 [25.0, 27.3]`; `-` for None."""
+    """Format a number: `26.2`, or `26.2 [25.0, 27.3]` with its interval; `-` for None."""
     return _cell(value, interval, 1, digits, "")
 
 
@@ -61,7 +61,7 @@ def _cell(
     return f"{scale * value:.{digits}f}{unit}" + (f" [{bounds}]" if bounds else "")
 
 
-# The figures of a row: key, head of its column, format.
+# The figures of a row: key, column heading, format.
 _FIGURES: tuple[tuple[str, str, Callable[..., str]], ...] = (
     ("success_rate", "success rate", percent),
     ("pushes", "pushes", decimal),
@@ -85,7 +85,7 @@ def _said(row: Results, keys: Iterable[str]) -> str:
 
 
 def text(results: Results) -> str:
-    """Lay out the row of an evaluation (its `results.json`) above the paper's, aligned."""
+    """Format an evaluation (its `results.json`) as an aligned row above the paper's."""
     rows = [
         ["", "episodes", *(head for _, head, _ in _FIGURES)],
         [f"{results['model']} (this run)", str(results["episodes"]), *_figures(results)],
@@ -109,7 +109,7 @@ def text(results: Results) -> str:
 
 
 def markdown(rows: Sequence[Results]) -> str:
-    """Lay runs (their `results.json`) out as a Markdown table, beside the paper's figures."""
+    """Format runs (their `results.json`) as a Markdown table, beside the paper's figures."""
     differing = [key for key in SHARED if len({row.get(key) for row in rows}) > 1]
     shared = [key for key in SHARED if key not in differing and rows[0].get(key) is not None]
     title = _said(rows[0], shared)
@@ -122,7 +122,7 @@ def markdown(rows: Sequence[Results]) -> str:
 
 
 def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table without a newline at its end."""
+    """A Markdown table without a trailing newline."""
     lines = (heads, ["---"] * len(heads), *rows)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
@@ -137,7 +137,7 @@ def _cells(row: Results, differing: Sequence[str]) -> list[str]:
 
 
 def _provenance(rows: Sequence[Results]) -> str:
-    """The paper's tables and methods, the commits and MuJoCo versions that the rows come from."""
+    """The paper's tables and methods, and the commits and MuJoCo versions behind the rows."""
     figures = [figure for row in rows if (figure := paper(row))]
     tables = sorted({figure["table"] for figure in figures})
     methods = sorted({figure["method"] for figure in figures} - {row["model"] for row in rows})

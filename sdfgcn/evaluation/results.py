@@ -1,4 +1,4 @@
-"""From episodes to the row of a table, with intervals."""
+"""Results of an evaluation, with confidence intervals, from its episodes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.evaluation.episodes import EpisodeResult
 
-# What a result depends on, besides Python.
+# Packages that a result depends on.
 _PACKAGES = (
     "sdfgcn",
     "mujoco",
@@ -31,11 +31,9 @@ _ROOT = Path(__file__).resolve().parents[2]
 def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) -> dict[str, Any]:
     """Summarise an evaluation of at least one episode: the content of `results.json`.
 
-    Pushes and error are means over the successful episodes alone, as in the paper. An interval is
-    a 95% confidence interval: Wilson's for the success rate, Student's t for a mean.
-
-    Returns:
-        The figures by name; None where there is none, as for the error if nothing succeeded.
+    Pushes and error are means over successful episodes only, as in the paper. Intervals are 95%
+    confidence intervals: Wilson's for the success rate, Student's t for means. A figure that does
+    not exist is None, such as the error if no episode succeeded.
     """
     successes = [episode for episode in episodes if episode.success]
     pushes = [float(episode.pushes) for episode in successes]
@@ -70,7 +68,7 @@ def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) 
 
 
 def _network(config: Config) -> dict[str, Any]:
-    """The model, and how its network had been trained, as far as its policy says so."""
+    """The model and, if its policy records it, how its network was trained."""
     about: dict[str, Any] = {}
     if config.checkpoint is not None and isinstance(config.model, QNetworkConfig):
         from sdfgcn.agents.policy import find_policy, read_about  # loads torch
@@ -93,12 +91,12 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
 
 
 def mean(values: Sequence[float]) -> float | None:
-    """Return the mean, or None of nothing."""
+    """Return the mean, or None if there are no values."""
     return sum(values) / len(values) if values else None
 
 
 def t_interval(values: Sequence[float]) -> tuple[float, float] | None:
-    """Return Student's t 95% confidence interval of a mean, or None of fewer than two values."""
+    """Return Student's t 95% confidence interval of the mean; None for fewer than two values."""
     if len(values) < 2:
         return None
     from scipy import stats
@@ -120,10 +118,10 @@ def versions() -> dict[str, str]:
 
 
 def git_state(root: Path) -> dict[str, Any] | None:
-    """Return the commit that a source tree stands at, and whether its files differ from it.
+    """Return the commit of a source tree, and whether its files differ from it.
 
     Returns:
-        `commit` and `dirty`, or None where `root` is not the top of a git checkout.
+        `commit` and `dirty`, or None if `root` is not the top of a git checkout.
     """
     top = _git(root, "rev-parse", "--show-toplevel")
     commit = _git(root, "rev-parse", "HEAD")

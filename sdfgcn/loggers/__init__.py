@@ -1,7 +1,7 @@
-"""Running figures of a run (`conf/logger/`), besides its result files.
+"""Loggers for the running metrics of a run (`conf/logger/`), besides its result files.
 
-Each module here registers loggers with `sdfgcn.registry.LOGGERS`: what builds one from its config
-and the run folder.
+Each module registers loggers with `sdfgcn.registry.LOGGERS`, built from their config and the run
+folder.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from typing import Protocol
 
 
 class Logger(Protocol):
-    """Takes figures as a run goes on."""
+    """Receives metrics during a run."""
 
     def log(self, step: int, figures: Mapping[str, float]) -> None:
-        """Take figures by name at a step, for example after an episode."""
+        """Log metrics by name at a step, for example after an episode."""

@@ -12,23 +12,23 @@ from sdfgcn.registry import LOGGERS
 
 @LOGGERS.register("none")
 class NoLogger:
-    """Keeps nothing."""
+    """Logs nothing."""
 
     def __init__(self, config: LoggerConfig, folder: Path) -> None:
         pass
 
     def log(self, step: int, figures: Mapping[str, float]) -> None:
-        """Drop the figures."""
+        """Do nothing."""
 
 
 @LOGGERS.register("csv")
 class CsvLogger:
-    """Appends to `metrics.csv` of the run folder: one line a figure, `step,name,value`."""
+    """Appends to `metrics.csv` of the run folder, one line `step,name,value` per metric."""
 
     def __init__(self, config: LoggerConfig, folder: Path) -> None:
         self._table = CsvTable(folder / "metrics.csv", ("step", "name", "value"))
 
     def log(self, step: int, figures: Mapping[str, float]) -> None:
-        """Append the figures; they are in the file when this returns."""
+        """Append the metrics; they are in the file when this returns."""
         rows = ({"step": step, "name": name, "value": value} for name, value in figures.items())
         self._table.append(*rows)

@@ -1,4 +1,4 @@
-"""Loggers of other packages, which are extras."""
+"""Loggers that need optional packages."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ class TensorboardLogger:
         self._events = Events(exp_name="tensorboard", log_dir=str(folder))
 
     def log(self, step: int, figures: Mapping[str, float]) -> None:
-        """Write the figures."""
+        """Write the metrics."""
         for name, value in figures.items():
             self._events.log_scalar(name, value, step=step)
 
 
 @LOGGERS.register("wandb")
 class WandbLogger:
-    """Sends figures to Weights & Biases, project sdfgcn; the run is named after the folder."""
+    """Sends metrics to Weights & Biases, project sdfgcn; the run is named after the folder."""
 
     def __init__(self, config: LoggerConfig, folder: Path) -> None:
-        """Begin the run.
+        """Start the run.
 
         Raises:
             SdfgcnError: The package is not installed.
@@ -48,7 +48,7 @@ class WandbLogger:
         self._run = Run(exp_name=folder.name, save_dir=str(folder), project="sdfgcn")
 
     def log(self, step: int, figures: Mapping[str, float]) -> None:
-        """Send the figures."""
+        """Send the metrics."""
         for name, value in figures.items():
             self._run.log_scalar(name, value, step=step)
 

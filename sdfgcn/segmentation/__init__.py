@@ -1,1 +1,1 @@
-"""Training the segmentation network: its pictures, its loss, its scores, the loop."""
+"""Training the segmentation network: pictures, loss, scores and training loop."""

@@ -1,7 +1,7 @@
-"""Random looks of one arrangement: light, camera, colours and patterns.
+"""Random looks of an arrangement: light, camera, colours and patterns (domain randomisation).
 
-A segmenter that has seen many looks does not go by any one of them. What MuJoCo can change between
-two pictures is changed in the model; patterns are painted into the picture with the true masks.
+Whatever MuJoCo can change between two pictures is changed in the model; patterns are painted into
+the picture using the true masks.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from sdfgcn.sim.arena import CAMERA
 
 
 class Appearance:
-    """Changes the look of a compiled world, and back to the environment's own."""
+    """Changes the look of a compiled world, and restores the environment's own."""
 
     def __init__(
         self, physics: mjcf.Physics, arena: ArenaConfig, arrangements: ArrangementsConfig
@@ -35,7 +35,7 @@ class Appearance:
         self._own = [(array, array.copy()) for array in self._arrays()]
 
     def reset(self) -> None:
-        """Give light, camera and table the environment's own look; props are the task's."""
+        """Restore the environment's own light, camera and table; props are coloured separately."""
         for array, value in self._own:
             array[:] = value
         mujoco.mj_camlight(self._model, self._data)
@@ -46,14 +46,14 @@ class Appearance:
         geoms: NDArray[np.int64],
         palette: Sequence[Sequence[float]],
     ) -> None:
-        """Colour the [n] props as an episode does: from a palette, textures left as they are."""
+        """Colour the [n] props as an episode does: from a palette, but textured ones unchanged."""
         order = rng.permutation(len(palette))[np.arange(len(geoms)) % len(palette)]
         for geom, colour in zip(geoms, np.asarray(palette)[order], strict=True):
             textured = self._model.geom_matid[geom] >= 0
             self._model.geom_rgba[geom, :3] = 1.0 if textured else colour
 
     def draw(self, rng: np.random.Generator, geoms: NDArray[np.int64]) -> None:
-        """Draw light, camera, table colour and the colours of props by their [n] visual geoms."""
+        """Randomise light, camera and the colours of the table and the [n] visual prop geoms."""
         self.reset()
         model, arrangements = self._model, self._arrangements
         place = [
@@ -71,7 +71,7 @@ class Appearance:
         if rng.random() < 0.3:
             table = np.clip(self._arena.table_rgba[:3] + rng.normal(0.0, 0.1, 3), 0.0, 1.0)
         model.geom_rgba[self._table, :3] = table
-        shared = random_colour(rng) if rng.random() < 0.15 else None  # all alike: shape must do
+        shared = random_colour(rng) if rng.random() < 0.15 else None  # only shape tells them apart
         for geom in geoms:
             self._colour_prop(rng, geom, table, shared)
         mujoco.mj_camlight(model, self._data)
@@ -93,7 +93,7 @@ class Appearance:
         table: NDArray[np.float64],
         shared: NDArray[np.float64] | None,
     ) -> None:
-        """A colour; on a texture mostly a faint one, and sometimes the texture is left out."""
+        """Colour a prop; a texture is kept, faintly tinted or dropped."""
         model = self._model
         if model.geom_matid[geom] >= 0:
             kind = rng.random()
@@ -128,7 +128,7 @@ class Appearance:
 
 
 def random_colour(rng: np.random.Generator) -> NDArray[np.float64]:
-    """[3] a colour, 0 to 1: any hue, pale ones and greys as likely as strong ones."""
+    """[3] a colour, 0 to 1, of uniform hue and saturation."""
     hue, saturation, value = rng.random(), rng.random(), rng.uniform(0.08, 1.0)
     return np.array(colorsys.hsv_to_rgb(hue, saturation, value))
 
@@ -139,7 +139,7 @@ def _within(rng: np.random.Generator, limits: Sequence[float]) -> float:
 
 
 def _tint(rng: np.random.Generator) -> NDArray[np.float64]:
-    """[3] a light's colour, near white."""
+    """[3] a near-white light colour."""
     return np.clip(rng.normal(1.0, 0.08, 3), 0.7, 1.3)
 
 
@@ -149,13 +149,13 @@ def paint(
     labels: NDArray[np.uint8],
     chance: float,
 ) -> NDArray[np.uint8]:
-    """Paint patterns on some objects and the table of a picture, keeping the shading below them.
+    """Paint patterns on random objects and perhaps the table, keeping the shading.
 
     Args:
         rng: Source of randomness.
-        pixels: [H, W, 3] the picture.
+        pixels: [H, W, 3] picture.
         labels: [H, W] 0 for the table, 1 to n for objects.
-        chance: Probability of a pattern, for each of them.
+        chance: Probability of a pattern, for each label.
     """
     painted = pixels.astype(np.float32)
     for label in np.unique(labels):
@@ -165,7 +165,7 @@ def paint(
         strength = rng.uniform(0.1, 0.35 if label == 0 else 0.9)
         pattern = PATTERNS[rng.integers(len(PATTERNS))](rng, labels.shape[0])
         low, high = random_colour(rng), random_colour(rng)
-        # Towards colours of the same brightness as what is there.
+        # Blend towards colours scaled by the brightness underneath.
         mixed = (low + pattern[..., None] * (high - low))[where]
         light = painted[where].mean(axis=-1, keepdims=True) / 128.0
         painted[where] += strength * (255.0 * mixed * np.maximum(light, 0.2) - painted[where])
@@ -188,7 +188,7 @@ def _stripes(rng: np.random.Generator, size: int) -> NDArray[np.float32]:
 
 
 def _checker(rng: np.random.Generator, size: int) -> NDArray[np.float32]:
-    """[size, size] a turned chessboard, 0 and 1."""
+    """[size, size] a rotated chequerboard, 0 and 1."""
     angle, side = rng.uniform(0.0, np.pi), rng.uniform(2.0, 10.0)
     v, u = np.mgrid[:size, :size]
     across = np.floor((u * np.cos(angle) + v * np.sin(angle)) / side)
@@ -197,7 +197,7 @@ def _checker(rng: np.random.Generator, size: int) -> NDArray[np.float32]:
 
 
 def _speckle(rng: np.random.Generator, size: int) -> NDArray[np.float32]:
-    """[size, size] noise of its own in each pixel, 0 to 1."""
+    """[size, size] independent noise per pixel, 0 to 1."""
     return rng.random((size, size), dtype=np.float32)
 
 

@@ -1,7 +1,7 @@
 """Arrangements of training objects, rendered with true labels.
 
-Objects lie apart, against each other, or on top of each other; one arrangement is pictured
-several times in different looks, because a look costs far less than a settled arrangement.
+Objects lie apart, touch, or are stacked. Each arrangement is pictured in several looks, because a
+new look costs far less than settling a new arrangement.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from sdfgcn.sim.placement import footprint
 from sdfgcn.sim.world import MujocoWorld
 from sdfgcn.task.region import Region
 
-MAX_TRIES = 60  # places tried for an object before it is left out
-SLIDE = 0.002  # m, step in which an object slides up to the one it shall touch
+MAX_TRIES = 60  # positions tried before an object is left out
+SLIDE = 0.002  # m, step size when placing an object against another
 
 
 class ArrangementWorld:
-    """One catalogue compiled into one world, pictured again and again."""
+    """One catalogue compiled into one world, for rendering many arrangements."""
 
     def __init__(
         self, env: EnvConfig, catalogue: Sequence[ObjectModel], arrangements: ArrangementsConfig
     ) -> None:
-        """Compile a world of all objects of the catalogue: training objects, for a segmenter."""
+        """Compile a world of all objects of the catalogue."""
         self._arrangements, self._palette = arrangements, env.objects.palette
         physics = replace(env.physics, settle_seconds=arrangements.settle_seconds)
         self._world = MujocoWorld(replace(env, physics=physics), catalogue)
@@ -44,10 +44,10 @@ class ArrangementWorld:
     def pictures(
         self, rng: np.random.Generator
     ) -> Iterator[tuple[NDArray[np.uint8], NDArray[np.uint8]]]:
-        """Draw one arrangement and picture it in each of its looks.
+        """Draw one arrangement and render each of its looks.
 
         Yields:
-            [H, W, 3] the picture, and [H, W] its labels: 0 for the table, 1 to n for objects.
+            [H, W, 3] picture and its [H, W] labels: 0 for the table, 1 to n for objects.
         """
         world = self._world
         self._appearance.reset()
@@ -71,7 +71,7 @@ class ArrangementWorld:
         self._world.close()
 
     def _draw(self, rng: np.random.Generator) -> EpisodeSpec:
-        """An arrangement as the start of an episode without a goal of its own."""
+        """An arrangement as an episode whose goal is its start."""
         kind = rng.random()
         stacked = kind < self._arrangements.stacked
         touching = kind < self._arrangements.stacked + self._arrangements.touching
@@ -96,13 +96,13 @@ class ArrangementWorld:
                 poses.append(np.hstack([point, rest.height, quat]))
                 kept.append(index)
         start = np.stack(poses)
-        white = np.ones((len(kept), 4))  # each look has colours of its own
+        white = np.ones((len(kept), 4))  # each look sets its own colours
         return EpisodeSpec(seed=0, objects=np.array(kept), start=start, goal=start, colors=white)
 
     def _above(
         self, rng: np.random.Generator, rest: Rest, poses: Sequence[NDArray[np.float64]]
     ) -> NDArray[np.float64]:
-        """[7] a pose in the air above one of the others, turned at random."""
+        """[7] a pose in the air above a random other object, randomly oriented."""
         below = poses[int(rng.integers(len(poses)))]
         point = below[:2] + rng.normal(0.0, 0.02, 2)
         height = below[2] + rest.radius + self._arrangements.drop_height
@@ -111,7 +111,7 @@ class ArrangementWorld:
     def _place(
         self, rng: np.random.Generator, shape: Polygon, others: Sequence[Polygon], close: bool
     ) -> NDArray[np.float64] | None:
-        """[2] a free place, metres; with `close`, against one of the others. None: no room."""
+        """[2] a free position, metres, or None; with `close`, against another object."""
         for _ in range(MAX_TRIES):
             point = rng.uniform(self._region.low, self._region.high)
             if close:
@@ -125,7 +125,7 @@ class ArrangementWorld:
 
 
 def _slide(rng: np.random.Generator, shape: Polygon, other: Polygon) -> NDArray[np.float64]:
-    """[2] the place against `other`, come to from a random side, metres."""
+    """[2] the position just touching `other` on a random side, metres."""
     angle = rng.uniform(0.0, 2.0 * np.pi)
     away = np.array([np.cos(angle), np.sin(angle)])
     center = np.array(other.centroid.coords[0]) + rng.normal(0.0, 0.01, 2)

@@ -1,4 +1,4 @@
-"""Cheap changes of a training picture that leave its labels true."""
+"""Cheap augmentations of training pictures and their labels."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn.functional import avg_pool2d
 
-FLIP, TURN, COLOUR, NOISE, BLUR = 0.5, 0.25, 0.5, 0.25, 0.08  # the chance of each
+FLIP, TURN, COLOUR, NOISE, BLUR = 0.5, 0.25, 0.5, 0.25, 0.08  # probability of each
 
 
 def augmented(
     rng: np.random.Generator, pixels: NDArray[np.uint8], labels: NDArray[np.uint8]
 ) -> tuple[Tensor, Tensor]:
-    """Flip, turn, recolour, blur and add noise to square pictures [B, H, W, 3], each by chance.
+    """Randomly flip, rotate, recolour, blur and add noise to square pictures [B, H, W, 3].
 
     Returns:
         [B, 3, H, W] float32, 0 to 1, and [B, H, W] int64.
@@ -37,7 +37,7 @@ def augmented(
 
 def _recoloured(rng: np.random.Generator, picture: NDArray[np.float32]) -> NDArray[np.float32]:
     if rng.random() < COLOUR:
-        picture = picture[..., rng.permutation(3)]  # another hue at no cost
+        picture = picture[..., rng.permutation(3)]  # another hue, cheaply
         gain = rng.uniform(0.6, 1.3) * rng.normal(1.0, 0.05, 3)
         picture = picture * gain.astype(np.float32) + np.float32(rng.normal(0.0, 0.03))
     if rng.random() < NOISE:

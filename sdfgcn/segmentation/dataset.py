@@ -1,7 +1,7 @@
-"""The training pictures: rendered once by all workers, cached, and read into memory.
+"""The training pictures: rendered once by parallel workers, cached, and read into memory.
 
-The pictures come in shards. A shard follows from the seed and its number alone, so a render that
-was cut off goes on with the shards that are missing.
+Pictures come in shards. With given settings, a shard depends only on the seed, its catalogue and
+its number, so an interrupted rendering resumes with the missing shards.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
 from sdfgcn.objects.storage import cache_dir
 from sdfgcn.segmentation.arrangements import ArrangementWorld
 
-FORMAT = 1  # raise it whenever the same settings would now give other pictures
+FORMAT = 1  # increment whenever the same settings would give other pictures
 SHARD = 100  # arrangements in a shard
 
 
@@ -45,7 +45,7 @@ class Pictures:
 
 
 def load_pictures(config: SegmentationTrainingConfig) -> Pictures:
-    """Render what is missing of the training pictures and read them all.
+    """Render the missing training pictures and read them all.
 
     Raises:
         SdfgcnError: A cached shard is damaged.
@@ -53,7 +53,7 @@ def load_pictures(config: SegmentationTrainingConfig) -> Pictures:
     folder = pictures_folder(config)
     folder.mkdir(parents=True, exist_ok=True)
     for catalogue in config.catalogues.values():
-        load_catalogue(catalogue, "train")  # once, before workers would each build it
+        load_catalogue(catalogue, "train")  # once, rather than in every worker
     shards = _shards(config)
     missing = [shard for shard in shards if not (folder / shard.file).exists()]
     with tqdm(
@@ -68,7 +68,7 @@ def load_pictures(config: SegmentationTrainingConfig) -> Pictures:
 
 
 def pictures_folder(config: SegmentationTrainingConfig) -> Path:
-    """The folder in which pictures with these settings are cached."""
+    """The cache folder of pictures with these settings."""
     scenes = {
         k: v for k, v in asdict(config.arrangements).items() if k not in ("workers", "layouts")
     }
@@ -88,10 +88,10 @@ def pictures_folder(config: SegmentationTrainingConfig) -> Path:
 
 @dataclass(frozen=True)
 class Shard:
-    """Arrangements that are rendered together.
+    """A batch of arrangements that are rendered together.
 
     Attributes:
-        catalogue: Which catalogue the objects are from.
+        catalogue: Name of the catalogue the objects are from.
         number: Its number within that catalogue.
     """
 
@@ -100,12 +100,12 @@ class Shard:
 
     @property
     def file(self) -> str:
-        """Its file's name."""
+        """The file name."""
         return f"{self.catalogue}-{self.number:04d}.npz"
 
 
 def _shards(config: SegmentationTrainingConfig) -> list[Shard]:
-    """As many of each catalogue, so that more layouts add shards and change none."""
+    """The same number of shards per catalogue; more layouts add shards without changing any."""
     each = -(-config.arrangements.layouts // (SHARD * len(config.catalogues)))
     return [Shard(name, number) for number in range(each) for name in sorted(config.catalogues)]
 
@@ -113,7 +113,7 @@ def _shards(config: SegmentationTrainingConfig) -> list[Shard]:
 def _render_all(
     config: SegmentationTrainingConfig, folder: Path, missing: Sequence[Shard]
 ) -> Iterator[int]:
-    """Render shards in worker processes; yields how many pictures each has."""
+    """Render shards in worker processes; yields the number of pictures in each."""
     if config.arrangements.workers == 0 or len(missing) < 2:
         yield from (render_shard(config, folder, shard) for shard in missing)
         return
@@ -125,7 +125,7 @@ def _render_all(
 
 
 def render_shard(config: SegmentationTrainingConfig, folder: Path, shard: Shard) -> int:
-    """Render one shard, write its file in one step and return the number of its pictures."""
+    """Render one shard, write its file atomically and return its number of pictures."""
     objects = config.catalogues[shard.catalogue]
     env = replace(config.env, objects=objects)
     order = sorted(config.catalogues).index(shard.catalogue)

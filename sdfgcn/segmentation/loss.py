@@ -1,9 +1,9 @@
 """The metric-learning loss of unseen object clustering (Xiang et al. 2020, equations 1 and 2).
 
-With one change: there each cluster counts equally, here each pixel that is drawn. The table's
-outermost pixels are many and an object's few, so that a mean over clusters would give a pixel just
-outside an object a tenth of the weight of one just inside. Masks then grow by a pixel all around,
-which is nothing at 640 pixels and a quarter of the overlap F-measure at 96.
+With one change: the paper weights clusters equally, while here the pixels beyond the margin are
+weighted equally. The table has far more of these than an object, so a mean over clusters would
+give a pixel just outside an object a tenth of the weight of one just inside. Masks would then grow
+by a pixel all around: negligible at 640 pixels, but a quarter of the overlap F-measure at 96.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from torch.nn.functional import normalize, one_hot
 def clustering_loss(
     embeddings: Tensor, labels: Tensor, pull: float, push: float, min_pixels: int
 ) -> tuple[Tensor, Tensor]:
-    """Draw each cluster's pixels to its centre and the centres of a picture apart.
+    """Pull each cluster's pixels to its centre and push the centres of a picture apart.
 
     A cluster is an object or the table. The distance is the cosine distance (1 - cos) / 2, and a
     centre is the mean direction of its pixels.
 
     Args:
-        embeddings: [B, D, H, W] of length 1.
+        embeddings: [B, D, H, W] of unit length.
         labels: [B, H, W] int64, 0 for the table, 1 to n for objects.
-        pull: Distance of a pixel to its centre from which on it is drawn (alpha).
-        push: Distance of two centres up to which they repel (delta).
-        min_pixels: A smaller cluster is left out.
+        pull: Distance to its centre beyond which a pixel is pulled (alpha).
+        push: Distance below which two centres repel each other (delta).
+        min_pixels: Smaller clusters are ignored.
 
     Returns:
-        The mean squared distance of the drawn pixels, and the mean over pairs of centres of their
-        squared lack of distance; each a mean over pictures.
+        The mean squared distance of the pulled pixels, and the mean over pairs of centres of the
+        squared shortfall from `push`; each averaged over pictures.
     """
     batch = len(embeddings)
     points = embeddings.flatten(2)  # [B, D, P]
@@ -39,7 +39,7 @@ def clustering_loss(
     there = (size >= min_pixels).to(points.dtype)
     centers = normalize(torch.einsum("bdp,bpk->bkd", points, members), dim=2)
     distances = 0.5 * (1.0 - torch.einsum("bkd,bdp->bpk", centers, points))
-    # Only pixels beyond the margin count, in the sum and in the number that it is divided by.
+    # A mean over only those pixels that are beyond the margin.
     far = members * there[:, None, :] * (distances.detach() > pull)
     pulled = (far * distances.square()).sum(dim=(1, 2)) / far.sum(dim=(1, 2)).clamp(min=1.0)
     between = 0.5 * (1.0 - centers @ centers.transpose(1, 2))  # [B, K, K]

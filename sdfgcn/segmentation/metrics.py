@@ -1,8 +1,8 @@
-"""How good masks are: overlap and boundary F-measure, and the number of objects.
+"""Mask quality: overlap and boundary F-measure, and the number of objects.
 
 As in unseen object segmentation (Xie et al. 2020, 2021; Xiang et al. 2020): predicted and true
-masks are matched one to one for the greatest sum of F-measures (Hungarian method); precision and
-recall count the pixels of matched pairs over those of all predicted and of all true masks.
+masks are matched one to one to maximise the sum of F-measures (Hungarian algorithm); precision and
+recall are the pixels of matched pairs over those of all predicted and of all true masks.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ class Score:
     """Precision, recall and F-measure, 0 to 1.
 
     Attributes:
-        precision: Of what was predicted, the share that is right.
-        recall: Of what is true, the share that was found.
+        precision: Share of the predicted pixels that is right.
+        recall: Share of the true pixels that was found.
     """
 
     precision: float
@@ -29,7 +29,7 @@ class Score:
 
     @property
     def f(self) -> float:
-        """Their harmonic mean."""
+        """The harmonic mean of precision and recall."""
         total = self.precision + self.recall
         return 2.0 * self.precision * self.recall / total if total else 0.0
 
@@ -39,8 +39,8 @@ class MaskScores:
     """One picture's scores.
 
     Attributes:
-        overlap: Over the pixels of the masks.
-        boundary: Over the pixels of their outlines, within a tolerance.
+        overlap: Of the pixels of the masks.
+        boundary: Of the pixels of their outlines, within a tolerance.
         found: Number of predicted masks.
         true: Number of true masks.
     """
@@ -58,12 +58,12 @@ def score_masks(
 
     Args:
         found: [m, H, W] predicted masks.
-        true: [n, H, W] true masks, none of them empty.
-        tolerance: Pixels by which outlines may differ. At 96 pixels the 0.3% of the diagonal of
-            Xie et al. are 1 pixel.
+        true: [n, H, W] true masks, none empty.
+        tolerance: Pixels by which outlines may differ; at 96 pixels, the 0.3% of the diagonal in
+            Xie et al. is 1 pixel.
 
     Returns:
-        The scores; without true and without predicted masks they are 1.
+        The scores, which are 1 if there are neither true nor predicted masks.
     """
     pairs = match_masks(found, true)
     overlap = sum(int((found[i] & true[j]).sum()) for i, j in pairs)
@@ -83,10 +83,10 @@ def score_masks(
 
 
 def match_masks(found: NDArray[np.bool_], true: NDArray[np.bool_]) -> list[tuple[int, int]]:
-    """Match [m, H, W] with [n, H, W] masks for the greatest sum of overlap F-measures.
+    """Match [m, H, W] with [n, H, W] masks to maximise the sum of overlap F-measures.
 
     Returns:
-        Pairs of indices (found, true) that overlap at all.
+        Index pairs (found, true) of matched masks that overlap.
     """
     a = found.reshape(len(found), found.shape[-2] * found.shape[-1]).astype(np.float64)
     b = true.reshape(len(true), true.shape[-2] * true.shape[-1]).astype(np.float64)
@@ -108,14 +108,14 @@ def _score(right: int, recalled: int, found: NDArray[np.bool_], true: NDArray[np
 
 
 def _outlines(masks: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """[k, H, W] the pixels of each mask that have one beside them outside it."""
+    """[k, H, W] the pixels of each mask that have a neighbour outside it."""
     cross = ndimage.generate_binary_structure(2, 1)
     inner = [ndimage.binary_erosion(mask, cross) for mask in masks]
     return masks & ~np.array(inner, dtype=bool).reshape(masks.shape)
 
 
 def _dilated(masks: NDArray[np.bool_], radius: int) -> NDArray[np.bool_]:
-    """[k, H, W] everything within a disk of the radius around each mask's pixels."""
+    """[k, H, W] each mask dilated by a disk of this radius, pixels."""
     v, u = np.mgrid[-radius : radius + 1, -radius : radius + 1]
     disk = u**2 + v**2 <= radius**2
     return np.array([ndimage.binary_dilation(mask, disk) for mask in masks], dtype=bool).reshape(

@@ -1,4 +1,4 @@
-"""How well a segmenter does on the environment's own scenes."""
+"""Scores of a segmenter on the environment's own scenes."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from sdfgcn.sim.world import MujocoWorld
 
 @dataclass(frozen=True)
 class Example:
-    """The start of an episode as the camera sees it.
+    """The start of an episode as seen by the camera.
 
     Attributes:
-        seed: What the episode was drawn from.
+        seed: Seed of the episode.
         pixels: [H, W, 3] RGB.
-        masks: [n, H, W] true masks of the objects that can be detected at all.
+        masks: [n, H, W] true masks of the detectable objects.
         n_objects: Objects on the table, detectable or not.
     """
 
@@ -45,13 +45,13 @@ def views(
     scenes: int,
     relight: Relight | None = None,
 ) -> Iterator[Example]:
-    """Picture the start of episodes 0 to `scenes` - 1 of each number of objects.
+    """Render the start of episodes 0 to `scenes` - 1 for each number of objects.
 
     Args:
-        env: The environment; its own split and number of objects do not matter.
+        env: The environment; its split and number of objects are ignored.
         catalogue: The objects to draw from.
         n_objects: Numbers of objects.
-        scenes: Scenes of each number.
+        scenes: Scenes per number of objects.
         relight: Changes the look of the compiled model before each picture, given the physics and
             a generator seeded by the episode.
     """
@@ -68,7 +68,7 @@ def views(
 
 
 def shifted_look(physics: mjcf.Physics, rng: np.random.Generator) -> None:
-    """Draw another light and another table colour; for `views`."""
+    """Randomise the light and the table colour; for `views`."""
     model = physics.model
     lamp, table = model.name2id("lamp", "light"), model.name2id("table", "geom")
     place = np.array([*rng.uniform(-0.8, 0.8, 2), rng.uniform(1.0, 2.0)])
@@ -84,7 +84,7 @@ def shifted_look(physics: mjcf.Physics, rng: np.random.Generator) -> None:
 def score(
     segment: Callable[[NDArray[np.uint8]], NDArray[np.bool_]], scenes: Iterable[Example]
 ) -> list[tuple[Example, NDArray[np.bool_], MaskScores]]:
-    """Segment every scene; returns each with the masks found and their scores."""
+    """Segment every scene; return each with the masks found and their scores."""
     rows = []
     for scene in scenes:
         masks = segment(scene.pixels)

@@ -1,8 +1,7 @@
 """Train the segmentation network: `python -m sdfgcn.segmentation.train KEY=VALUE ...`.
 
-`conf/train_segmentation.yaml` has the keys. The folder `out` holds the config, a checkpoint,
-`metrics.csv` and, in the end, `ucn.safetensors`; the same folder goes on with a training that was
-cut off.
+`conf/train_segmentation.yaml` has the keys. The folder `out` receives the config, a checkpoint,
+`metrics.csv` and finally `ucn.safetensors`; with the same folder, an interrupted training resumes.
 """
 
 from __future__ import annotations
@@ -23,18 +22,18 @@ from sdfgcn.validation import typed_segmentation_training
 
 
 def load_config(*overrides: str) -> SegmentationTrainingConfig:
-    """The config of a training, checked.
+    """The validated config of a training.
 
     Raises:
         SdfgcnError: A value is out of its range.
-        HydraException: An override cannot be read, or names a key or an option that is not there.
+        HydraException: An override cannot be parsed, or names an unknown key or option.
         OmegaConfBaseException: A value is missing or of the wrong type.
     """
     return typed_segmentation_training(compose_config(overrides, "train_segmentation"))
 
 
 def main(arguments: list[str]) -> int:
-    """Train as the command line says; return the exit code."""
+    """Run the command line; return the exit code."""
     try:
         check_opengl()
         config = load_config(*arguments)

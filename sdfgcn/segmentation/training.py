@@ -1,4 +1,4 @@
-"""The training loop of the segmentation network, and what it keeps on disk."""
+"""The training loop of the segmentation network, and its files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from sdfgcn.segmentation.dataset import Pictures, load_pictures
 from sdfgcn.segmentation.loss import clustering_loss
 from sdfgcn.segmentation.scores import Example, score, summary, views
 
-# Torch's reader lets any of these through when a file is cut short or no checkpoint at all.
+# What `torch.load` may raise for a truncated file or one that is no checkpoint.
 _UNREADABLE = (
     OSError,
     RuntimeError,
@@ -39,8 +39,8 @@ _UNREADABLE = (
     pickle.PickleError,
 )
 
-# What may differ when a training goes on: how it is run, and how long. With another number of
-# steps the learning rate follows the cosine of the new number from there on.
+# Keys that may change on resume: how the training is run, and for how long. With another number of
+# steps, the learning rate follows the new cosine schedule from then on.
 _FREE_KEYS = (
     "steps",
     "out",
@@ -49,17 +49,17 @@ _FREE_KEYS = (
     "validation_scenes",
     "arrangements.workers",
 )
-_SEGMENTATION = "env.perception.segmentation."  # of these only what the network or the loss reads
+_SEGMENTATION = "env.perception.segmentation."  # binding: read by network or loss
 _BINDING = tuple(_SEGMENTATION + key for key in ("channels", "widths", "embedding", "min_pixels"))
 COLUMNS = ("step", "seconds", "learning_rate", "loss", "pull", "push")
 SCORES = ("overlap_f", "overlap_precision", "overlap_recall", "boundary_f", "count_right")
 
 
 def train(config: SegmentationTrainingConfig, folder: Path) -> Path:
-    """Train the network or go on with the folder's training; return the file of the weights.
+    """Train the network, or resume the folder's training; return the weights file.
 
     Raises:
-        SdfgcnError: The folder is in use, or its checkpoint is damaged or of another training.
+        SdfgcnError: The folder is in use, or its checkpoint is damaged or from another training.
     """
     folder.mkdir(parents=True, exist_ok=True)
     try:
@@ -78,14 +78,14 @@ def train(config: SegmentationTrainingConfig, folder: Path) -> Path:
 
 
 class Training:
-    """Network, optimiser and step, as a checkpoint keeps them.
+    """Network, optimiser and step: the state kept in a checkpoint.
 
-    The pictures of an update and their augmentation follow from the seed and the step, so that no
-    state of a random generator needs to be kept.
+    The pictures of an update and their augmentation depend only on the seed and the step, so no
+    generator state needs to be saved.
     """
 
     def __init__(self, config: SegmentationTrainingConfig, folder: Path) -> None:
-        """Start at step 0 with weights from the seed."""
+        """Start at step 0 with weights initialised from the seed."""
         self._config, self._folder = config, folder
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(config.seed)
@@ -101,7 +101,7 @@ class Training:
     # ------------------------------------------------------------------ the loop
 
     def run(self, pictures: Pictures, scenes: list[Example]) -> None:
-        """Train to the last step, with a checkpoint and a validation every so often."""
+        """Train to the last step, validating and saving a checkpoint every `checkpoint_steps`."""
         config, clock = self._config, time.monotonic()
         recent: list[tuple[float, float]] = []
         with tqdm(
@@ -120,7 +120,7 @@ class Training:
                     recent, clock = [], time.monotonic()
 
     def _update(self, pictures: Pictures) -> tuple[float, float]:
-        """One step of the optimiser; returns both terms of the loss."""
+        """Take one optimiser step; return both terms of the loss."""
         config = self._config
         rng = np.random.default_rng([config.seed, self.step])
         chosen = np.sort(rng.integers(len(pictures.pixels), size=config.batch))
@@ -141,7 +141,7 @@ class Training:
         return pull.item(), push.item()
 
     def _learning_rate(self) -> float:
-        """Up in a line, then down along a cosine to zero."""
+        """Linear warm-up, then cosine decay to zero."""
         config = self._config
         if self.step < config.warmup:
             return config.learning_rate * (self.step + 1) / config.warmup
@@ -149,7 +149,7 @@ class Training:
         return config.learning_rate * 0.5 * (1.0 + math.cos(math.pi * done))
 
     def _row(self, recent: list[tuple[float, float]], scenes: list[Example]) -> dict[str, float]:
-        """What `metrics.csv` says about the updates since its last row."""
+        """The row of `metrics.csv` for the updates since the last one."""
         segmenter = UCNSegmenter(_ucn(self._config), self.network.eval())
         scores = summary([scores for _, _, scores in score(segmenter, scenes)])
         self.network.train()
@@ -164,14 +164,14 @@ class Training:
             **scores,
         }
 
-    # ------------------------------------------------------------------ what is kept
+    # ------------------------------------------------------------------ checkpoints
 
     @property
     def _checkpoint(self) -> Path:
         return self._folder / "checkpoint.pt"
 
     def save(self) -> None:
-        """Write checkpoint and metrics, each in one step; the checkpoint holds the metrics too."""
+        """Write checkpoint and metrics, each atomically; the checkpoint holds the metrics too."""
         content = {
             "config": json.dumps(flat(asdict(self._config))),
             "network": self.network.state_dict(),
@@ -185,10 +185,10 @@ class Training:
         self._metrics.write(self._rows)
 
     def resume(self) -> None:
-        """Go on from the folder's checkpoint, if it has one.
+        """Resume from the folder's checkpoint, if there is one.
 
         Raises:
-            SdfgcnError: The checkpoint is damaged or of another training.
+            SdfgcnError: The checkpoint is damaged or from another training.
         """
         if not self._checkpoint.exists():
             return
@@ -210,7 +210,7 @@ class Training:
 
 
 def validation_views(config: SegmentationTrainingConfig) -> list[Example]:
-    """The environment's own start layouts, with training objects of every catalogue."""
+    """Views of the environment's own start layouts, with training objects of every catalogue."""
     each = max(1, config.validation_scenes // len(config.catalogues))
     return [
         view
@@ -239,7 +239,7 @@ def _read_checkpoint(path: Path) -> dict[str, Any]:
 
 
 def _binds(key: str) -> bool:
-    """Whether a training can only go on with the same value of this key."""
+    """Whether this key must keep its value when a training resumes."""
     if key.startswith(_SEGMENTATION):
         return key in _BINDING
     return key not in _FREE_KEYS

@@ -1,13 +1,13 @@
-"""Recordings of episodes, one file each, to look at push by push.
+"""Recordings of episodes, one file each, to view push by push.
 
-`RECORDERS` of the registry maps `viz.name` to a function that makes the recorder of one episode:
+`RECORDERS` of the registry maps `viz.name` to a function that builds an episode's recorder:
 
     with RECORDERS.find(config.viz.name)(path, config.env) as recorder:
         recorder.start(env.episode_start)
         for step in steps:
             recorder.step(step)
 
-The file at `path` appears when the block ends without an exception, whole or not at all.
+The complete file appears at `path` only if the block ends without an exception.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Recorder(Protocol):
         """Record one push and the scene after it."""
 
     def close(self) -> None:
-        """Finish the file. Without this call no finished file appears."""
+        """Finish the file; it does not appear without this call."""
 
     def __enter__(self) -> Self:
         return self
@@ -62,7 +62,7 @@ def _null(path: Path, env: EnvConfig) -> Recorder:
 
 @RECORDERS.register("rerun")
 def _rerun(path: Path, env: EnvConfig) -> Recorder:
-    # Imported here: rerun takes a while to load, and a run without recordings needs none of it.
+    # Imported here: rerun is slow to load, and a run without recordings does not need it.
     from sdfgcn.viz.rerun_recorder import RerunRecorder
 
     return RerunRecorder(path, env)

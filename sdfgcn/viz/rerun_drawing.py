@@ -1,4 +1,4 @@
-"""What a rerun recording draws with: colours, archetypes of our types, and the viewer's layout."""
+"""Building blocks of a rerun recording: colours, archetypes and the viewer's layout."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TIMELINE = "push"
 Color = tuple[int, int, int]
 ColorLike = tuple[int, ...] | NDArray[np.uint8]
 
-# Okabe and Ito's palette, told apart with any colour vision; by slot.
+# Okabe and Ito's colour-blind-safe palette, by slot.
 _PALETTE: tuple[Color, ...] = (
     (230, 159, 0),
     (86, 180, 233),
@@ -44,25 +44,25 @@ STATUS_COLORS: dict[PushStatus, Color] = {
 }
 MASK_OPACITY = 0.35
 GOAL_ALPHA = 90  # of 255
-_SDF_RANGE = 24.0  # pixels from zero to the ends of the colour map
+_SDF_RANGE = 24.0  # pixels from zero to either end of the colour map
 
 
 def slot_color(slot: int) -> Color:
-    """The colour that stands for an object in masks, outlines and plots."""
+    """The colour of an object in masks, outlines and plots."""
     return _PALETTE[slot % len(_PALETTE)]
 
 
 def png(pixels: NDArray[np.uint8]) -> rr.EncodedImage:
-    """A picture, uint8 [H, W, 3], without loss."""
+    """A picture, uint8 [H, W, 3], as a PNG."""
     buffer = io.BytesIO()
     Image.fromarray(pixels).save(buffer, format="png")
     return rr.EncodedImage(contents=buffer.getvalue(), media_type="image/png")
 
 
 def sdf_image(sdf: NDArray[np.float32]) -> rr.DepthImage:
-    """A signed distance field, [H, W] pixels, in the two hues of a map for signed values."""
+    """A signed distance field, [H, W] pixels, in a diverging colour map."""
     return rr.DepthImage(
-        sdf.astype(np.float16),  # 0.03 pixels off at most, at half the size
+        sdf.astype(np.float16),  # at most 0.03 pixels off, at half the size
         meter=1.0,
         colormap=rr.components.Colormap.CyanToYellow,
         depth_range=(-_SDF_RANGE, _SDF_RANGE),
@@ -77,13 +77,13 @@ def arrow_2d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows2D:
         colors=STATUS_COLORS[status],
         radii=1.0,
         labels=status,
-        show_labels=status != "done",  # the colour says it, and a word covers objects
+        show_labels=status != "done",  # the colour suffices, and a label would cover objects
         draw_order=30,
     )
 
 
 def edges_2d(scene: Snapshot, goal: Snapshot) -> rr.LineStrips2D:
-    """The scene graph's edges in the current picture: among its objects, and to their goals."""
+    """The scene graph's edges in the current picture: between objects, and to their goals."""
     strips, to_goal = edge_strips(scene, goal)
     colors = np.where(to_goal[:, None], MATCH_COLOR, EDGE_COLOR)
     return rr.LineStrips2D(list(strips), colors=colors.astype(np.uint8), radii=0.15, draw_order=15)
@@ -97,7 +97,7 @@ def arrow_3d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows3D:
 
 
 def mesh(model: ObjectModel, color: ColorLike, skin: bool = False) -> rr.Mesh3D:
-    """An object's mesh in one colour; with `skin`, in its texture if it has one."""
+    """An object's mesh in one colour, or with its texture if `skin` is set and it has one."""
     textured = skin and model.texture is not None and model.uv is not None
     return rr.Mesh3D(
         vertex_positions=model.vertices,
@@ -116,7 +116,7 @@ def transform(pose: NDArray[np.float64]) -> rr.Transform3D:
 
 
 def pinhole(camera: CameraModel) -> rr.Pinhole:
-    """The camera's frustum, with the picture a fifth of the way to the table."""
+    """The camera's frustum, with the image plane a fifth of the way to the table."""
     return rr.Pinhole(
         focal_length=camera.focal,
         width=camera.size,
@@ -147,7 +147,7 @@ def _corners(x: list[float], y: list[float]) -> list[tuple[float, float]]:
 
 
 def blueprint(arena: ArenaConfig, n_objects: int, with_q_values: bool) -> rrb.Blueprint:
-    """Pictures on the left, 3D in the middle, SDFs on the right, figures below."""
+    """Pictures on the left, 3D view in the middle, SDFs on the right, plots below."""
     pictures = rrb.Vertical(
         rrb.Spatial2DView(origin="world/camera", name="Scene"),
         rrb.Spatial2DView(origin="goal", name="Goal"),
@@ -193,7 +193,7 @@ def _q_values_view() -> rrb.Tabs:
 
 
 def _world_view(arena: ArenaConfig) -> rrb.Spatial3DView:
-    """Seen from the camera's side of the table, so that left and right are as in the pictures."""
+    """The 3D view from the camera's side, so that left and right are as in the pictures."""
     (x_low, x_high), (y_low, y_high) = arena.reach_x, arena.reach_y
     centre = np.array([(x_low + x_high) / 2, (y_low + y_high) / 2, 0.0])
     eye = centre + (y_high - y_low) * np.array([0.2, -1.0, 0.8])

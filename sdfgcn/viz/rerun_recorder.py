@@ -1,25 +1,25 @@
 """One episode as a rerun recording (`viz=rerun`); open it with `rerun FILE`.
 
-The timeline "push" counts pushes: 0 is the start, and at k everything shows push k and the scene
-after it. Entities, where i is an object's slot:
+The timeline "push" counts pushes: 0 is the start, and k shows push k and the scene after it.
+Entities, where i is an object's slot:
 
     world/objects/i, world/goal/i      meshes at their poses; the goal is translucent
     world/push                         the push as an arrow, coloured by its status
     world/table, world/bounds/*        the regions on the table
-    world/camera                       pinhole, with picture, masks, push and goal outlines below
-    world/camera/graph                 the scene graph's edges, among objects and to their goals
+    world/camera                       pinhole, with children picture, masks, push and goal
+    world/camera/graph                 the scene graph's edges, between objects and to their goals
     goal/picture, goal/masks           the goal picture
     sdf/scene/i, sdf/goal/i            signed distances in pixels, with the zero contour below
-    distance/i, distance/threshold     metres to the goal, and the threshold of success
+    distance/i, distance/threshold     metres to the goal, and the success threshold
     reward/total, reward/terms/*       the reward of each push
-    outcome/return                     undiscounted sum of the rewards so far
+    outcome/return                     undiscounted return so far
     outcome/success, outcome/out_of_range
-    q_values                           [rows, D] Q-values that the push was picked by, if any
-    q_values/table                     the same in words: objects, directions, legal ones, the push
+    q_values                           [rows, D] Q-values behind the push, if any
+    q_values/table                     the same as a table, with legality and the chosen push
     log, summary                       what happened, in words
 
-Without true poses (a world without truth) there are no meshes: names and colours go by row, and
-distances are those between the centres that were seen.
+Without true poses (a world without truth), there are no meshes, names and colours go by row, and
+distances are between the detected centres.
 
 Only this file and `rerun_drawing` import rerun.
 """
@@ -58,22 +58,22 @@ from sdfgcn.viz.rerun_drawing import (
 from sdfgcn.viz.shapes import row_slots, zero_contour
 from sdfgcn.viz.words import outcome, push_sentence, q_table, row_name, slot_name, summary
 
-# One batch per entity instead of one per push: far less overhead per row.
+# One batch per entity instead of one per push has far less overhead per row.
 _BATCHES = rr.ChunkBatcherConfig(flush_tick=3600.0, flush_num_bytes=4 * 2**20)
 
 
 class RerunRecorder(Recorder):
     """Writes one episode to one .rrd file.
 
-    Each recorder owns its stream and touches none of rerun's global state. The data goes to
-    `<path>.partial`, which `close` renames to `path`: a file of the final name is always whole.
-    Make the recorder in the process that uses it; its stream does not survive a fork.
+    Each recorder owns its stream and leaves rerun's global state alone. The data goes to
+    `<path>.partial`, which `close` renames to `path`, so a file with the final name is complete.
+    Create the recorder in the process that uses it; its stream does not survive a fork.
     """
 
     def __init__(self, path: Path, env: EnvConfig) -> None:
-        """Prepare a recording to `path`, an .rrd file whose folder is created.
+        """Prepare a recording to `path`, an .rrd file; nothing is written before `start`.
 
-        Nothing is written before `start`. Regions and threshold of success are those of `env`.
+        Regions and success threshold are those of `env`.
         """
         self._path = Path(path)
         self._partial = self._path.with_name(self._path.name + ".partial")
@@ -81,7 +81,7 @@ class RerunRecorder(Recorder):
         self._stream: rr.RecordingStream | None = None
 
     def start(self, episode: EpisodeStart) -> None:
-        """Open the file and record what is fixed for the episode, its start and its goal.
+        """Open the file and record the episode's constants, start and goal.
 
         Raises:
             SdfgcnError: The file cannot be written, the pictures are missing, or the
@@ -108,7 +108,7 @@ class RerunRecorder(Recorder):
         self._log("log", rr.TextLog(f"Start of the episode with seed {episode.seed}."))
 
     def step(self, step: StepRecord) -> None:
-        """Record one push, the scene after it and what it earned."""
+        """Record one push, the scene after it and its reward."""
         if self._last is None:
             self._send_blueprint(with_q_values=step.q_values is not None)
         self._at(step.index)
@@ -131,8 +131,8 @@ class RerunRecorder(Recorder):
 
     def _open(self) -> rr.RecordingStream:
         stream = rr.RecordingStream(
-            # The viewer shares one layout among recordings of one application id, and the
-            # layout depends on the number of objects alone.
+            # The viewer shares one layout per application id, and the layout depends only on
+            # the number of objects.
             f"sdfgcn {self._episode.n_objects} objects",
             batcher_config=_BATCHES,
         )
@@ -216,7 +216,7 @@ class RerunRecorder(Recorder):
         self._log("world/camera/goal", outlines, static=True)
 
     def _log_scene(self, moment: Snapshot) -> None:
-        """The picture, the masks, the poses, and the SDFs that changed."""
+        """Log picture, masks, poses, and the SDFs that changed."""
         slots = row_slots(moment, self._radii, self._episode.camera)
         self._log_picture("world/camera", moment, slots)
         self._log("world/camera/graph", edges_2d(moment, self._episode.goal))
@@ -262,7 +262,7 @@ class RerunRecorder(Recorder):
         self._log(f"{path}/contour", contour, static=static)
 
     def _log_sdf_names(self) -> None:
-        """Names at the lower edge, clear of most objects."""
+        """Place names at the lower edge, clear of most objects."""
         edge = [0.5 * self._episode.camera.size, 0.84 * self._episode.camera.size]
         for slot in range(self._episode.n_objects):
             name = rr.Points2D([edge], labels=self._name(slot), colors=slot_color(slot), radii=0)
@@ -275,7 +275,7 @@ class RerunRecorder(Recorder):
         self._log("world/camera/push", arrow_2d(start, end, result.status))
         self._log("world/push", arrow_3d(result.start, result.end, result.status))
         level = rr.TextLogLevel.INFO if result.status == "done" else rr.TextLogLevel.WARN
-        # Rows of the scene before the push: that is what it was picked by.
+        # Rows of the scene before the push, on which the choice was based.
         names = [
             row_name(self._episode, row, int(slot))
             for row, slot in enumerate(self._slots)

@@ -1,4 +1,4 @@
-"""Shapes that drawing needs: outlines, normals, edges, and which row shows which object."""
+"""Geometry for drawing: outlines, normals, edges, and which row shows which object."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from scipy.optimize import linear_sum_assignment
 from sdfgcn.envs.records import Snapshot
 from sdfgcn.task.camera import CameraModel
 
-_FAR = 1e6  # a cost that loses against any real one
+_FAR = 1e6  # a cost above any real one
 
 
 def zero_contour(sdf: NDArray[np.floating]) -> list[NDArray[np.float64]]:
-    """Where a signed distance field [H, W], sampled at pixel centres, crosses zero.
+    """The zero contour of a signed distance field [H, W] sampled at pixel centres.
 
     Returns:
-        Polylines [P, 2] of column u and row v in the pixel coordinates of `CameraModel`.
+        Polylines [P, 2] of (u, v) in the pixel coordinates of `CameraModel`.
     """
     centres_u = np.arange(sdf.shape[1]) + 0.5
     centres_v = np.arange(sdf.shape[0]) + 0.5
@@ -32,7 +32,7 @@ def zero_contour(sdf: NDArray[np.floating]) -> list[NDArray[np.float64]]:
 def vertex_normals(
     vertices: NDArray[np.floating], faces: NDArray[np.integer]
 ) -> NDArray[np.float32]:
-    """[V, 3] unit normals for smooth shading of a mesh, each face weighted by its area."""
+    """[V, 3] area-weighted unit normals for smooth shading of a mesh."""
     a, b, c = (vertices[faces[:, corner]] for corner in range(3))
     of_faces = np.cross(b - a, c - a)
     sums = np.zeros_like(vertices, dtype=np.float64)
@@ -45,20 +45,20 @@ def vertex_normals(
 def row_slots(
     moment: Snapshot, radii: NDArray[np.float64], camera: CameraModel
 ) -> NDArray[np.intp]:
-    """Which object each row shows, by the true poses; for drawing only.
+    """The object that each row shows, from the true poses; for drawing only.
 
-    A slot stays the same all episode, so colours and names go by slot. A row pairs with the object
-    whose centre projects nearest to the centre of its mask (optimal assignment), unless they are
-    further apart than the object is large. Without true poses, row i stands for slot i.
+    Slots are fixed for an episode, so colours and names go by slot. Each row is assigned the object
+    whose projected centre is nearest to the centre of its mask (optimal assignment), unless they
+    are further apart than the object's radius. Without true poses, row i stands for slot i.
 
     Args:
         moment: The scene's N rows and n poses.
         radii: [n] largest distance of any vertex from the object's origin, metres; without true
-            poses only their number counts.
+            poses, only their number matters.
         camera: The camera that took the picture.
 
     Returns:
-        [N] slot of each row, -1 for a row that shows none of the objects.
+        [N] slot of each row, -1 for a row that shows no object.
     """
     rows = np.flatnonzero(moment.scene.node_mask.numpy())
     slots = np.full(len(moment.scene.node_mask), -1)
@@ -81,8 +81,8 @@ def edge_strips(moment: Snapshot, goal: Snapshot) -> tuple[NDArray[np.float64], 
     """The scene graph's edges at the current nodes, as lines in the picture.
 
     Returns:
-        [E, 2, 2] the ends of each edge: column and row of the centres of the masks, pixels; and
-        [E] whether the edge leads to the goal's node.
+        [E, 2, 2] the ends of each edge: (u, v) of mask centres, pixels; and [E] whether the edge
+        leads to a goal node.
     """
     seen, matched = moment.scene.node_mask.numpy(), np.flatnonzero(moment.matched)
     here, there = moment.scene.masks.numpy(), goal.scene.masks.numpy()

@@ -1,4 +1,4 @@
-"""What a recording says in words: names, log, summary, and the table of Q-values."""
+"""Texts of a recording: names, log, summary, and the table of Q-values."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ def slot_name(episode: EpisodeStart, slot: int) -> str:
 
 
 def row_name(episode: EpisodeStart, row: int, slot: int) -> str:
-    """Name of what a row shows; slot -1 is none of the objects."""
+    """Name of what a row shows; slot -1 means no object."""
     return slot_name(episode, slot) if slot >= 0 else f"row {row}"
 
 
 def push_sentence(name: str, step: StepRecord) -> str:
-    """The log's line on a push of the object called `name`."""
+    """The log line for a push of the object called `name`."""
     status = step.push.result.status.replace("_", " ")
     return f"{_push(name, step)}: {status}, reward {step.reward:+.3f}."
 
 
 def outcome(last: StepRecord | None) -> str:
-    """How an episode ended, given its last push."""
+    """The outcome of an episode, given its last push."""
     if last is None:
         return "no push"
     if last.success:
@@ -40,7 +40,7 @@ def outcome(last: StepRecord | None) -> str:
 
 
 def summary(episode: EpisodeStart, last: StepRecord | None, total_reward: float) -> str:
-    """The whole episode, as Markdown."""
+    """A summary of the episode, as Markdown."""
     how = "as they truly lie" if episode.truth else "between the centres that were seen"
     lines = [
         f"# Seed {episode.seed}: {outcome(last)}",
@@ -58,12 +58,10 @@ def summary(episode: EpisodeStart, last: StepRecord | None, total_reward: float)
 
 
 def q_table(names: list[str], step: StepRecord) -> str:
-    """The Q-values that a push was picked by, as Markdown.
+    """The Q-values behind a push, as a Markdown table of objects and directions.
 
-    `names` are those of the rows of the scene before the push; so are the push's `q_values`.
-
-    Returns:
-        A table of objects and directions: the pushed one in bold, what was not legal in brackets.
+    The push is in bold; illegal pushes are in brackets. `names`, like `step.q_values`, are by row
+    of the scene before the push.
     """
     assert step.q_values is not None, "there is nothing to tell"
     values, legal = step.q_values[: len(names)], step.legal[: len(names)]
