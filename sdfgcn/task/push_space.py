@@ -153,7 +153,7 @@ class PushSpace:
         behind = step > np.max(np.where(own <= 0.0, step, 0), axis=-1, keepdims=True)
         clear = (union >= config.clearance * scale) & behind & self._reach.contains(line)
         first = np.argmax(clear, axis=-1)
-        # The line must not leave the bounds before the start: they are convex, so one test suffices.
+        # The line must not leave the bounds before the start; they are convex, so one test will do.
         legal = clear.any(axis=-1)
         start = np.take_along_axis(line, first[..., None, None], axis=2)[..., 0, :]
         start = np.where(legal[..., None], start, np.nan)

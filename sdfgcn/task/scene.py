@@ -136,7 +136,7 @@ class Scene(TensorClass["nocast"]):  # type: ignore[misc, name-defined]
         places = np.flatnonzero(rows)
         for name, field in cls.declared().items():
             tensor = torch.zeros((n, *field.shape(size)), dtype=field.dtype)
-            # NumPy casts to the field's type, so that the rounding does not depend on torch.
+            # NumPy casts to the field's type.
             target = tensor.numpy()
             target[places] = field.of(seen)
             values[name] = tensor
