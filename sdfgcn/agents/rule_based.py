@@ -42,7 +42,7 @@ class RuleBasedAgent:
         """
         matched = (td["matched"] & td["scene", "node_mask"]).numpy()
         goal, current = (td[part, self._where].double().numpy() for part in ("goal", "scene"))
-        offsets = np.where(matched[:, None], goal, 0.0) - current  # without a goal: towards the origin
+        offsets = np.where(matched[:, None], goal, 0.0) - current  # without a goal: to the origin
         movable = self._pushes.by_direction(td["action_mask"]).any(dim=-1).numpy()
         away = movable & matched & (np.linalg.norm(offsets, axis=1) > self._threshold)
         drawn = int(self._rng.choice(np.flatnonzero(away if away.any() else movable)))
