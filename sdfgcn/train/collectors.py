@@ -121,7 +121,7 @@ class SyncCollector:
         return next(self._batches)
 
     def update_policy_weights(self) -> None:
-        """Do nothing: the policy is shared with the learner's process."""
+        """Do nothing: the collector uses the policy object itself."""
 
     def state(self) -> dict[str, Any]:
         """The env's state."""
