@@ -16,7 +16,7 @@ from sdfgcn.models.layers import check_widths
 def scaled_sdf(sdf: Tensor, unit: float) -> Tensor:
     """Scale signed distances to multiples of `unit` pixels, then subtract 1; in place.
 
-    Distances far from an object are about one unit, and all-positive inputs slow learning down.
+    Distances far from an object are about one unit, and all-positive inputs slow down learning.
     """
     return sdf.mul_(1.0 / unit).sub_(1.0)
 

@@ -89,7 +89,7 @@ def scene_field(
 
 
 class Scene(TensorClass["nocast"]):  # type: ignore[misc, name-defined]
-    """What one picture shows; rows without a detected object are zero.
+    """The contents of one picture by row; rows without a detected object are zero.
 
     Attributes:
         sdf: float32 [*B, N, H, W] signed distances, pixels, negative inside (paper section III B).
