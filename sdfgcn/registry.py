@@ -1,14 +1,14 @@
-"""Components that are picked by name in the config: one registry for each such config group.
+"""Components picked by name in the config: one registry per config group.
 
-A component registers itself, with its config dataclass, where it is defined:
+A component registers itself and its config dataclass where it is defined:
 
     @ROBOTS.register("gripper", config=GripperConfig)
     class FloatingGripper(Robot): ...
 
 Its file lies in the package that the registry names, and `conf/<group>/<name>.yaml` holds its
-numbers; nothing else has to know of it. A component of another installed package is found by an
-entry point of the group `sdfgcn.components` that names a module of that package: importing it
-registers the component, and a folder `conf` beside that module holds the YAML.
+numbers; no other file has to mention it. Another installed package adds components through an
+entry point of the group `sdfgcn.components` that names one of its modules: importing the module
+registers them, and a folder `conf` beside it holds their YAML.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ PLUGINS = "sdfgcn.components"  # the group of entry points
 
 
 class Registry(Mapping[str, Any]):
-    """Maps the options of one config group to what builds them, and to their config dataclasses.
+    """Maps the options of one config group to their builders and config dataclasses.
 
-    The modules that register components are imported when a component is first looked up.
+    The modules that register components are imported at the first lookup.
     """
 
     def __init__(self, path: str, modules: str, base: type[ComponentConfig]) -> None:
         """Make an empty registry.
 
         Args:
-            path: Where the config group stands in the config, such as "env.robot"; the last part is
-                its folder of `conf/`.
-            modules: The modules that register components; "package.*" for all of a package.
-            base: The config dataclass of a component without keys of its own.
+            path: Where the config group sits in the config, such as "env.robot"; the last part is
+                its folder in `conf/`.
+            modules: The modules that register components; "package.*" for all in a package.
+            base: The config dataclass of components that add no keys.
         """
         self.group = path.rpartition(".")[2]
         self.path = path
@@ -63,12 +63,12 @@ class Registry(Mapping[str, Any]):
     def register(
         self, *names: str, config: type[ComponentConfig] | None = None
     ) -> Callable[[Any], Any]:
-        """Register the class or function that is decorated as what builds the options `names`.
+        """Register the decorated class or function as the builder of the options `names`.
 
-        `config` is their config dataclass; the group's own if None.
+        `config` is their config dataclass; None stands for the group's base.
 
         Raises:
-            ValueError: Something else has registered that name.
+            ValueError: A name is already registered.
         """
 
         def decorate(builder: Any) -> Any:
@@ -82,7 +82,7 @@ class Registry(Mapping[str, Any]):
         return decorate
 
     def find(self, name: str) -> Any:
-        """What builds the component.
+        """The builder of a component.
 
         Raises:
             SdfgcnError: There is no such component.
@@ -112,7 +112,7 @@ class Registry(Mapping[str, Any]):
         return len(self._builders)
 
     def _load(self) -> None:
-        """Import every module that may register a component; a second time costs nothing."""
+        """Import every module that may register a component; repeated calls cost nothing."""
         for name in self._modules:
             package = importlib.import_module(name.removesuffix(".*"))
             if name.endswith(".*"):
@@ -124,7 +124,7 @@ class Registry(Mapping[str, Any]):
 
 @functools.cache
 def plugins() -> tuple[EntryPoint, ...]:
-    """The entry points of other packages' components."""
+    """The entry points through which other packages add components."""
     return tuple(entry_points(group=PLUGINS))
 
 
@@ -141,7 +141,7 @@ SEGMENTERS = Registry(
 LOGGERS = Registry("logger", "sdfgcn.loggers.*", LoggerConfig)
 RECORDERS = Registry("viz", "sdfgcn.viz", VizConfig)
 
-# In the order in which their configs nest: an outer one before those inside it.
+# Outer configs come before those nested in them.
 REGISTRIES = (
     *(MODELS, WORLDS, OBJECTS, ROBOTS, SCENARIOS),
     *(PERCEPTIONS, ENCODERS, SEGMENTERS, LOGGERS, RECORDERS),

@@ -1,4 +1,4 @@
-"""From Hydra's config to checked dataclasses: what the types in `sdfgcn/config/` cannot say."""
+"""From Hydra's config to checked dataclasses, with the checks that `sdfgcn/config/` cannot make."""
 
 from __future__ import annotations
 
@@ -15,13 +15,12 @@ T = TypeVar("T", Config, SegmentationTrainingConfig)
 
 
 def typed(cfg: DictConfig) -> Config:
-    """Turn the config that Hydra composed into dataclasses, and check it.
+    """Convert the config that Hydra composed to dataclasses, and check it.
 
     Raises:
-        SdfgcnError: There is no such component, or a value is out of its range or contradicts
-            another.
+        SdfgcnError: A component is unknown, or a value is out of range or contradicts another.
         OmegaConfBaseException: A key is unknown, a value is missing or of the wrong type, or an
-            interpolation leads nowhere.
+            interpolation cannot be resolved.
     """
     values: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     train = values["train"]
@@ -32,7 +31,7 @@ def typed(cfg: DictConfig) -> Config:
 
 
 def typed_segmentation_training(cfg: DictConfig) -> SegmentationTrainingConfig:
-    """The same for a training of the segmentation network (`conf/train_segmentation.yaml`)."""
+    """The same for the training of the segmentation network (`conf/train_segmentation.yaml`)."""
     values: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     config = _structured(SegmentationTrainingConfig, values)
     validate_segmentation_training(config)
@@ -40,7 +39,7 @@ def typed_segmentation_training(cfg: DictConfig) -> SegmentationTrainingConfig:
 
 
 def _with_changes(base: Any, changes: Any) -> Any:
-    """A config with some keys changed; another component takes its place as a whole."""
+    """`base` with some keys changed; a component of another name replaces it as a whole."""
     if not (isinstance(base, dict) and isinstance(changes, dict)):
         return changes
     if changes.get("name", base.get("name")) != base.get("name"):
@@ -50,7 +49,7 @@ def _with_changes(base: Any, changes: Any) -> Any:
 
 
 def _structured(root: type[T], values: dict[str, Any]) -> T:
-    """Plain values as dataclasses; merging refuses what no dataclass has."""
+    """Convert plain values to dataclasses; merging rejects unknown keys."""
     schema = OmegaConf.structured(root)
     for registry in REGISTRIES:
         for path in (registry.path, f"train.{registry.path}"):
@@ -63,7 +62,7 @@ def _structured(root: type[T], values: dict[str, Any]) -> T:
 
 
 def _set_type(schema: DictConfig, values: dict[str, Any], path: str, registry: Registry) -> None:
-    """Give the component at `path`, if there is one, the type that its name stands for."""
+    """Give the component at `path`, if any, the config type of its name."""
     component: Any = values
     for key in path.split("."):
         component = component.get(key) if isinstance(component, dict) else None
@@ -76,7 +75,7 @@ def validate(config: Config) -> None:
     """Check what the types cannot.
 
     Raises:
-        SdfgcnError: One sentence that names the key, the value seen and what would work.
+        SdfgcnError: One sentence that names the key, its value and what would work.
     """
     _validate_env(config)
     try:
@@ -130,7 +129,7 @@ def _validate_env(config: Config) -> None:
 
 def _validate_device(device: str) -> None:
     if device.startswith("cuda"):
-        import torch  # takes seconds
+        import torch  # here, as the import takes seconds
 
         if not torch.cuda.is_available():
             raise SdfgcnError(
@@ -158,10 +157,10 @@ def _validate_training(config: Config) -> None:
 
 
 def validate_segmentation_training(config: SegmentationTrainingConfig) -> None:
-    """Check what the types cannot say about a training of the segmentation network.
+    """Check what the types cannot, for the training of the segmentation network.
 
     Raises:
-        SdfgcnError: One sentence that names the key, the value seen and what would work.
+        SdfgcnError: One sentence that names the key, its value and what would work.
     """
     check_ranges(config)
     if not config.catalogues:

@@ -1,8 +1,8 @@
 """What picks the next push.
 
-An agent ranks the pushes, and `EpsilonGreedy` takes one. Each agent registers with
-`sdfgcn.registry.MODELS`, by what builds it from `(config, rng)`; a Q-network of `sdfgcn.models`
-registers itself, and acts with the weights of a checkpoint.
+An agent ranks the pushes, and `EpsilonGreedy` takes one. Each agent registers a builder that takes
+`(config, rng)` with `sdfgcn.registry.MODELS`; a Q-network of `sdfgcn.models` registers itself and
+acts with the weights of a checkpoint.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from sdfgcn.registry import MODELS
 
 
 def build_agent(config: Config, rng: np.random.Generator) -> EpsilonGreedy:
-    """Build what picks the pushes: the agent that `config.model` names, as `config.eval` says.
+    """Build the agent that `config.model` names, with the exploration that `config.eval` sets.
 
     Raises:
         SdfgcnError: There is no such model, or `config.checkpoint` names no weights of it.

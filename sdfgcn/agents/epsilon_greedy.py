@@ -1,4 +1,4 @@
-"""What turns any agent's preferences into pushes: mostly greedy (paper section III A)."""
+"""The epsilon-greedy choice of a push from any agent's preferences (paper section III A)."""
 
 from __future__ import annotations
 
@@ -11,14 +11,13 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-# Called with one environment's observation (no batch dimension); returns float32 [N * D], how much
-# it prefers each push, in the order of `PushSpace`'s actions. Only the order of the legal ones
-# counts.
+# Called with the observation of one env (no batch dimension); returns float32 [N * D], a preference
+# for each push in the order of `PushSpace`'s actions. Only the ranking of legal pushes matters.
 Agent = Callable[[TensorDictBase], Tensor]
 
 
 class QAgent:
-    """Prefers the pushes that a Q-network values most."""
+    """Prefers pushes by their Q-value."""
 
     def __init__(self, network: TensorDictModuleBase) -> None:
         """Take a network that sets `action_value` [N * D] from an observation."""
@@ -31,10 +30,10 @@ class QAgent:
 
 
 class EpsilonGreedy:
-    """Takes the legal push that an agent prefers, or now and then a random one.
+    """Takes the legal push that an agent prefers, or with probability epsilon a random one.
 
-    It can refuse to be caught in a loop: a push that was tried in the same state of the episode
-    led back to it, so the next best is taken. When all have been tried, all are allowed again.
+    It can also break loops: a push already tried in the same state of the episode led back to it,
+    so the next best is taken. Once all have been tried, all are allowed again.
     """
 
     def __init__(
@@ -47,11 +46,11 @@ class EpsilonGreedy:
         """Wrap an agent.
 
         Args:
-            agent: What ranks the pushes.
-            rng: Where random pushes are drawn from.
-            epsilon: Their share; nothing is drawn where it is 0.
-            loop_distance: Two states count as the same where no object's detected centre is
-                further apart, metres; None: states are not compared.
+            agent: Ranks the pushes.
+            rng: Generator for random pushes.
+            epsilon: Share of random pushes; at 0, nothing is drawn.
+            loop_distance: Two states are the same if no object's detected centres are further
+                apart than this, metres; None turns loop breaking off.
         """
         self._agent = agent
         self._rng = rng
@@ -60,14 +59,14 @@ class EpsilonGreedy:
         self._tried: list[tuple[NDArray[np.float32], int]] = []  # in this episode
 
     def __call__(self, td: TensorDictBase) -> TensorDictBase:
-        """Pick a push for one environment's observation, which has no batch dimension.
+        """Pick a push for the observation of one env, without batch dimension.
 
         Returns:
-            The same TensorDict with `action` int64 [] and, where a Q-network is the agent,
+            The same TensorDict with `action` int64 [] and, if the agent is a Q-network,
             `action_value` float32 [N * D].
 
         Raises:
-            ValueError: The mask allows no action at all.
+            ValueError: The mask allows no action.
         """
         legal = np.flatnonzero(td["action_mask"].numpy())
         if len(legal) == 0:

@@ -1,7 +1,7 @@
-"""Trained Q-networks as files: weights (safetensors) and what they belong to (JSON).
+"""Trained Q-networks as files: weights (safetensors) and metadata (JSON).
 
-A policy is a folder with `weights.safetensors` and `policy.json`: one that a run wrote, or one of
-the released ones in `sdfgcn/weights/`. No part of it needs Hydra.
+A policy is a folder with `weights.safetensors` and `policy.json`, written by a run or released in
+`sdfgcn/weights/`. Nothing here needs Hydra.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ RELEASED = Path(__file__).resolve().parents[1] / "weights"
 
 
 def save_policy(folder: Path, network: QNetwork, about: Mapping[str, Any]) -> None:
-    """Write a policy; `about` says how it was trained, as JSON knows it.
+    """Write a policy; `about` says how it was trained, in JSON types.
 
-    `policy.json` comes last, so that a folder that has it is whole.
+    `policy.json` is written last, so a folder that has it is complete.
     """
     folder.mkdir(parents=True, exist_ok=True)
     (folder / ABOUT).unlink(missing_ok=True)
     weights = {name: value.contiguous() for name, value in network.state_dict().items()}
     with replaced(folder / WEIGHTS) as part:
-        part.write_bytes(save(weights))  # save_file would let nobody else read it
+        part.write_bytes(save(weights))  # save_file would make it unreadable for other users
     kind = {
         "model": asdict(network.config),
         "directions": network.n_directions,
@@ -53,10 +53,10 @@ def find_policy(checkpoint: str | Path) -> Path:
     """The folder of a policy.
 
     Args:
-        checkpoint: The name of a released one, a policy's folder, or a run folder that has one.
+        checkpoint: The name of a released policy, a policy's folder, or a run folder with one.
 
     Raises:
-        SdfgcnError: There is none.
+        SdfgcnError: There is no such policy.
     """
     for folder in (RELEASED / checkpoint, Path(checkpoint), Path(checkpoint) / "policy"):
         if (folder / ABOUT).is_file():
@@ -74,10 +74,10 @@ def read_about(folder: Path) -> dict[str, Any]:
 
 
 def load_network(checkpoint: str | Path) -> tuple[QNetwork, dict[str, Any]]:
-    """Build a trained network from its files; `checkpoint` is as for `find_policy`.
+    """Load a trained network; `checkpoint` is as for `find_policy`.
 
     Returns:
-        The network, on the CPU, and the content of `policy.json`. They are shared by all callers.
+        The network, on the CPU, and the content of `policy.json`; both are shared by all callers.
 
     Raises:
         SdfgcnError: There is no such policy, or its files are damaged.
@@ -93,14 +93,14 @@ def load_policy(
     loop_distance: float | None = 0.02,
     seed: int = 0,
 ) -> EpsilonGreedy:
-    """A trained policy, ready to be called with observations; needs no Hydra.
+    """Load a trained policy that can be called with observations; needs no Hydra.
 
     Args:
-        checkpoint: The name of a released one, a policy's folder, or a run folder that has one.
+        checkpoint: The name of a released policy, a policy's folder, or a run folder with one.
         epsilon: Share of random pushes.
-        loop_distance: Two states count as the same where no object's centre is further apart,
-            metres; a push is not taken twice in one. None: it may be.
-        seed: Of the random pushes.
+        loop_distance: States are the same if no object's centres are further apart than this,
+            metres, and no push is repeated in the same state; None allows repeats.
+        seed: Seed of the random pushes.
 
     Raises:
         SdfgcnError: There is no such policy, or its files are damaged.
@@ -111,11 +111,11 @@ def load_policy(
 
 
 def trained_agent(config: Config) -> QAgent:
-    """The agent of the trained Q-network in `config.checkpoint`.
+    """Build the agent of the trained Q-network in `config.checkpoint`.
 
     Raises:
-        SdfgcnError: `config.checkpoint` names no weights of this model, or they are of another
-            number of directions or another size of the picture than `config.env` has.
+        SdfgcnError: `config.checkpoint` names no weights of this model, or they were trained with
+            a number of directions or a picture size other than those of `config.env`.
     """
     if config.checkpoint is None:
         raise SdfgcnError(
@@ -149,7 +149,7 @@ def _load(folder: Path, written: int) -> tuple[QNetwork, dict[str, Any]]:
         n_directions, max_objects = about["directions"], about["max_objects"]
         network = build_q_network(model, n_directions, max_objects, about["image_size"], 0)
         network.load_state_dict(load_file(folder / WEIGHTS))
-    except Exception as error:  # whatever damaged files make their readers raise
+    except Exception as error:  # damaged files raise all kinds of errors
         raise SdfgcnError(
             f"The policy in {folder} is damaged ({type(error).__name__}); train it again or copy "
             "it anew."

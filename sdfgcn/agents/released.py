@@ -15,7 +15,7 @@ from sdfgcn.registry import MODELS
 
 @dataclass
 class ReleasedConfig(QNetworkConfig):
-    """Whichever Q-network `checkpoint` holds; it is evaluated, never trained."""
+    """The Q-network that `checkpoint` names; evaluated, never trained."""
 
     def check(self, config: Config) -> None:
         """See `ComponentConfig`."""
@@ -28,5 +28,5 @@ class ReleasedConfig(QNetworkConfig):
 
 @MODELS.register("released", config=ReleasedConfig)
 def released(config: Config, rng: np.random.Generator) -> QAgent:
-    """Build the agent of the weights that `config.checkpoint` names; it draws nothing."""
+    """Build the agent from the weights that `config.checkpoint` names; `rng` is unused."""
     return trained_agent(config)

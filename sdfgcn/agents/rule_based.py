@@ -14,35 +14,35 @@ from sdfgcn.task.push_space import PushSpace
 
 @MODELS.register("rule_based")
 class RuleBasedAgent:
-    """Prefers to push a random object that is not at its goal in the nearest direction towards it.
+    """Pushes a random object that is not at its goal in the direction nearest to its goal.
 
-    Under `perception=oracle` it knows where the objects and their goals truly lie, as in the
-    paper; under any other it goes by the matched detections and their centres.
+    With `perception=oracle` it uses the true positions of objects and goals, as in the paper;
+    otherwise the centres of matched detections.
     """
 
     def __init__(self, config: Config, rng: np.random.Generator) -> None:
-        """Read the rule's numbers, and take the generator that the object is drawn from."""
+        """Read the rule's numbers; `rng` draws the object."""
         self._threshold = config.env.success_threshold
         self._where = "position" if config.env.perception.name == "oracle" else "center"
         self._pushes = PushSpace(config.env.push, config.env.arena)
         self._rng = rng
 
     def __call__(self, td: TensorDictBase) -> Tensor:
-        """Rank the pushes: first the drawn object's, then those of the others.
+        """Rank the pushes: first the drawn object's, then the others'.
 
-        The object is drawn among those that are away from their goals and have a legal push, or
-        among all that have one. After it come the others that are away, then all others, by row.
-        The pushes of each object are ranked by their angle to its goal.
+        The object is drawn from those away from their goals that have a legal push, or else from
+        all that have one. The others that are away follow, then the rest, by row. The pushes of
+        each object are ranked by their angle to its goal.
 
         Args:
-            td: One environment's observation, without batch dimension, with a legal push.
+            td: The observation of one env, without batch dimension, with a legal push.
 
         Returns:
             float32 [N * D], higher is better.
         """
         matched = (td["matched"] & td["scene", "node_mask"]).numpy()
         goal, current = (td[part, self._where].double().numpy() for part in ("goal", "scene"))
-        offsets = np.where(matched[:, None], goal, 0.0) - current  # without a goal: to the middle
+        offsets = np.where(matched[:, None], goal, 0.0) - current  # without a goal: to the origin
         movable = self._pushes.by_direction(td["action_mask"]).any(dim=-1).numpy()
         away = movable & matched & (np.linalg.norm(offsets, axis=1) > self._threshold)
         drawn = int(self._rng.choice(np.flatnonzero(away if away.any() else movable)))

@@ -1,7 +1,7 @@
 """Every config dataclass: the types behind the YAML files of `conf/`.
 
-The numbers live in YAML. A dataclass here names each key, with its type and its range; what relates
-two keys is checked by `sdfgcn/validation.py`. Nothing mutates a config once it is built.
+The numbers live in YAML. A dataclass declares each key with its type and range; relations between
+keys are checked by `sdfgcn/validation.py`. A config is never mutated once it is built.
 """
 
 from sdfgcn.config.base import (

@@ -1,4 +1,4 @@
-"""What every part of the config shares."""
+"""Building blocks of all config dataclasses: base class, ranges of fields and their checks."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from sdfgcn.errors import SdfgcnError
 if TYPE_CHECKING:
     from sdfgcn.config.experiment import Config
 
-SPLITS = ("train", "test")  # objects seen in training, objects held out
+SPLITS = ("train", "test")  # objects seen in training, held-out objects
 
 T = TypeVar("T")
 
 
 @dataclass
 class ComponentConfig:
-    """The config of a component that is picked by name; each component extends it.
+    """The config of a component picked by name; each component extends it.
 
     Attributes:
         name: The option of its config group, as in `conf/<group>/<name>.yaml`.
@@ -30,21 +30,21 @@ class ComponentConfig:
     name: str = MISSING
 
     def check(self, config: Config) -> None:
-        """Check what the types cannot, once the whole config is there.
+        """Check what the types cannot, given the whole config.
 
         Raises:
-            SdfgcnError: One sentence that names the key, the value seen and what would work.
+            SdfgcnError: One sentence that names the key, its value and what would work.
         """
 
 
 @dataclass(frozen=True)
 class Range:
-    """The values that a field of a config may have, besides its type.
+    """The values that a config field may have, besides its type.
 
     Attributes:
-        holds: Whether a value is one of them; of a list, whether each of its entries is.
-        words: The same for a sentence, such as "must be above 0".
-        whole: Whether `holds` is asked about a list as a whole.
+        holds: Whether a value is allowed; for a list, called with each entry.
+        words: The range in words, such as "must be above 0".
+        whole: Whether `holds` is called with a list as a whole.
     """
 
     holds: Callable[[Any], bool]
@@ -55,7 +55,7 @@ class Range:
 def ranged(
     holds: Callable[[Any], bool], words: str, default: Any = MISSING, whole: bool = False
 ) -> Any:
-    """A field of a config dataclass with a `Range`; None needs no range to be allowed."""
+    """A field of a config dataclass with a `Range`; None is not checked against it."""
     return field(default=default, metadata={"range": Range(holds, words, whole)})
 
 
@@ -65,7 +65,7 @@ def positive(default: Any = MISSING) -> Any:
 
 
 def at_least(least: float, default: Any = MISSING) -> Any:
-    """A field for numbers from `least` on."""
+    """A field for numbers of at least `least`."""
     return ranged(lambda value: value >= least, f"must be at least {least}", default)
 
 
@@ -75,17 +75,17 @@ def fraction(default: Any = MISSING) -> Any:
 
 
 def below_one(default: Any = MISSING) -> Any:
-    """A field for numbers from 0 on that stay below 1."""
+    """A field for numbers of at least 0 and below 1."""
     return ranged(lambda value: 0 <= value < 1, "must be at least 0 and below 1", default)
 
 
 def one_of(*names: str | int) -> Any:
-    """A field for one of some values."""
+    """A field for one of the given values."""
     return ranged(lambda value: value in names, f"must be one of {', '.join(map(str, names))}")
 
 
 def interval(least: float = -math.inf) -> Any:
-    """A field for a list of two numbers from `least` on, the smaller first."""
+    """A field for a list of two numbers of at least `least`, the smaller first."""
     limit = "" if least == -math.inf else f" from {least} on"
     return ranged(
         lambda value: len(value) == 2 and least <= value[0] <= value[1],
@@ -95,20 +95,20 @@ def interval(least: float = -math.inf) -> Any:
 
 
 def vector(length: int) -> Any:
-    """A field for a list of so many numbers."""
+    """A field for a list of `length` numbers."""
     return ranged(lambda value: len(value) == length, f"must be {length} numbers", whole=True)
 
 
 def check_ranges(value: Any, key: str = "", allowed: Range | None = None) -> None:
-    """Check a config and all it holds: every number is finite and in the range of its field.
+    """Check recursively that every number of a config is finite and in the range of its field.
 
     Args:
-        value: A config dataclass, or the value of a field of one.
-        key: Where it stands in the config; empty for the whole.
+        value: A config dataclass, or the value of one of its fields.
+        key: Its dotted path in the config; empty for the root.
         allowed: The range of its field.
 
     Raises:
-        SdfgcnError: One sentence that names the key, the value seen and what would work.
+        SdfgcnError: One sentence that names the key, its value and what would work.
     """
     if is_dataclass(value):
         for each in fields(value):
@@ -134,7 +134,7 @@ def _check_range(value: Any, key: str, allowed: Range | None) -> None:
 
 
 def _entries(value: Any) -> Iterator[Any]:
-    """The numbers of a list, also of one of lists; of anything else itself."""
+    """The entries of a list, also a nested one; any other value itself."""
     if isinstance(value, list):
         for item in value:
             yield from _entries(item)
@@ -143,7 +143,7 @@ def _entries(value: Any) -> Iterator[Any]:
 
 
 def lookup(registry: Mapping[str, T], key: str, name: str) -> T:
-    """Return the entry `name` of a registry; `key` is the config key that holds this name.
+    """Return the entry `name` of a registry; `key` is the config key that holds the name.
 
     Raises:
         SdfgcnError: There is no such entry.

@@ -1,4 +1,4 @@
-"""Configs as flat dictionaries, and in what two of them differ."""
+"""Configs as flat dictionaries, and the differences between two of them."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def flat(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def differences(before: Mapping[str, Any], now: Mapping[str, Any], shown: int = 3) -> str:
-    """Say in what two flat configs differ, for a sentence; empty if they do not.
+    """Describe how two flat configs differ, for use in a sentence; empty if they are equal.
 
-    A key that one of them lacks counts as None. Keys beyond the first `shown` are only counted.
+    A missing key counts as None. Keys beyond the first `shown` are only counted.
 
     Returns:
         For example "seed (0 there, 1 now), env.split (test there, train now) and 2 more".

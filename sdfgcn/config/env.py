@@ -1,4 +1,4 @@
-"""The task and everything it stands on: the dataclasses below `env` in the config."""
+"""The dataclasses of `env` in the config: the task and everything it depends on."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class ObjectsConfig(ComponentConfig):
-    """Which object catalogue stands on the table (`conf/objects/`)."""
+    """The object catalogue (`conf/objects/`)."""
 
     footprint_min: float = positive()
     footprint_max: float = positive()
@@ -61,14 +61,14 @@ class ObjectsConfig(ComponentConfig):
     )
 
     def check(self, config: Config) -> None:
-        """See `check_limits`, which needs nothing else of the config."""
+        """See `check_limits`, which needs no other part of the config."""
         self.check_limits()
 
     def check_limits(self) -> None:
-        """Check the catalogue's limits, alone and against each other.
+        """Check the limits, each alone and against each other.
 
         Raises:
-            SdfgcnError: One sentence that names the key, the value seen and what would work.
+            SdfgcnError: One sentence that names the key, its value and what would work.
         """
         check_ranges(self, "env.objects")
         for low, high in (("footprint_min", "footprint_max"), ("mass_min", "mass_max")):
@@ -82,7 +82,7 @@ class ObjectsConfig(ComponentConfig):
 
 @dataclass
 class RobotConfig(ComponentConfig):
-    """What executes the push (`conf/robot/`)."""
+    """The robot that executes the push (`conf/robot/`)."""
 
     home: list[float] = MISSING
     lead: float = at_least(0)
@@ -100,7 +100,7 @@ class ScenarioConfig(ComponentConfig):
 
 @dataclass
 class ArenaConfig:
-    """Table, light, camera and the regions on the table (`conf/env/`)."""
+    """Table, camera and the regions on the table (`conf/env/`)."""
 
     spawn_x: list[float] = interval()
     spawn_y: list[float] = interval()
@@ -170,7 +170,7 @@ class RewardConfig:
 
 @dataclass
 class EncoderConfig(ComponentConfig):
-    """What tells objects apart for matching (`conf/encoder/`)."""
+    """The features by which objects are matched (`conf/encoder/`)."""
 
     stages: list[int] = at_least(1)
     patch: float = ranged(lambda value: 0 < value <= 1, "must be above 0 and at most 1")
@@ -187,7 +187,7 @@ class SegmentationConfig(ComponentConfig):
 
 @dataclass
 class PerceptionConfig(ComponentConfig):
-    """Picture -> masks -> SDFs (`conf/perception/`)."""
+    """From a picture to masks and SDFs (`conf/perception/`)."""
 
     min_pixels: int = at_least(0)
     sdf: str = MISSING
@@ -197,12 +197,12 @@ class PerceptionConfig(ComponentConfig):
 
 @dataclass
 class WorldConfig(ComponentConfig):
-    """Where the objects are: a simulation or a real table (`conf/world/`)."""
+    """The world: a simulation or a real table (`conf/world/`)."""
 
 
 @dataclass
 class EnvConfig:
-    """The task and everything it stands on (`conf/env/`)."""
+    """The task and everything it depends on (`conf/env/`)."""
 
     name: str = MISSING
     n_objects: int = MISSING

@@ -1,4 +1,4 @@
-"""The whole experiment."""
+"""The root config, and those of evaluation, logging, recordings and processes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class EvalConfig:
 
 @dataclass
 class LoggerConfig(ComponentConfig):
-    """Where running figures go besides the result files (`conf/logger/`)."""
+    """Where running metrics go besides the result files (`conf/logger/`)."""
 
 
 @dataclass

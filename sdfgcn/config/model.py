@@ -1,4 +1,4 @@
-"""What picks the push: the base of every config dataclass of `conf/model/`."""
+"""The bases of the config dataclasses of `conf/model/`."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ if TYPE_CHECKING:
 
 @dataclass
 class ModelConfig(ComponentConfig):
-    """Which method picks the push (`conf/model/`); each extends it with its own keys."""
+    """The method that picks the push (`conf/model/`); each one adds its own keys."""
 
 
 @dataclass
 class QNetworkConfig(ModelConfig):
-    """A Q-network: a method that is trained, or evaluated from a checkpoint."""
+    """A Q-network: trained, or evaluated from a checkpoint."""
 
     def check(self, config: Config) -> None:
         """See `ComponentConfig`."""
         self.check_network(config.env.arena.image_size)
 
     def check_network(self, image_size: int) -> None:
-        """Check what a network of this config needs; a trained one is loaded knowing no more.
+        """Check the keys that define the network; also called when a trained one is loaded.
 
         `image_size` is the height and width of the picture, pixels.
 
         Raises:
-            SdfgcnError: One sentence that names the key, the value seen and what would work.
+            SdfgcnError: One sentence that names the key, its value and what would work.
         """
         check_ranges(self, "model")

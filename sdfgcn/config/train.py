@@ -1,4 +1,4 @@
-"""How networks are trained."""
+"""The config dataclasses of training."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class BudgetConfig:
 
 @dataclass
 class CollectorConfig:
-    """Who pushes while a Q-network learns (`conf/collector/`)."""
+    """How pushes are collected while a Q-network learns (`conf/collector/`)."""
 
     name: str = MISSING
     workers: int = at_least(1, default=1)
@@ -31,7 +31,7 @@ class CollectorConfig:
 
 @dataclass
 class CurriculumConfig:
-    """How many objects a training episode has (`conf/curriculum/`)."""
+    """The number of objects in a training episode (`conf/curriculum/`)."""
 
     name: str = MISSING
     counts: list[int] = field(default_factory=list)
@@ -85,7 +85,7 @@ class TrainConfig:
 
 @dataclass
 class ArrangementsConfig:
-    """The pictures that a segmenter is trained on (`conf/train_segmentation.yaml`)."""
+    """The pictures on which a segmenter is trained (`conf/train_segmentation.yaml`)."""
 
     layouts: int = at_least(1)
     appearances: int = at_least(1)

@@ -1,1 +1,1 @@
-"""The TorchRL environment that ties simulation and perception together."""
+"""The TorchRL env that combines world and perception."""

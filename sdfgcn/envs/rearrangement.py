@@ -1,4 +1,4 @@
-"""The rearrangement task as a TorchRL environment."""
+"""The rearrangement task as a TorchRL env."""
 
 from __future__ import annotations
 
@@ -28,48 +28,48 @@ class RearrangementEnv(EnvBase):
     """Push objects into the goal arrangement (paper section IV).
 
     One step is one push. N is `max_objects`, D the number of push directions, H and W the
-    picture's size. Row i of `scene` and of `goal` show the same object where they are matched, and
-    an object keeps its row from push to push.
+    picture's size. Row i of `scene` and row i of `goal` show the same object where they are
+    matched, and an object keeps its row from push to push.
 
     Observation:
-        `scene`, `goal`: a `Scene` each, what the picture and the goal's picture show.
+        `scene`, `goal`: a `Scene` each, from the current picture and from the goal's picture.
         `matched`: bool [N], the rows in which both show the same object.
-        `action_mask`: bool [N * D], which actions are legal; never all false.
+        `action_mask`: bool [N * D], the legal actions; never all false.
         `pushes`: int64 [1], pushes so far in the episode.
-        `n_objects`: int64 [1], objects of the episode.
+        `n_objects`: int64 [1], objects in the episode.
         `success`, `out_of_range`: bool [1].
         `pixels`, `goal_pixels`: uint8 [H, W, 3], only with `config.pixels`.
 
-    Action: one index, see `PushSpace`. An illegal action moves nothing and costs a step.
+    Action: one index, see `PushSpace`. An illegal action moves nothing but counts as a step.
 
-    Without true poses (`World.poses`), reward, success and out of range go by the centres that
-    were seen, and `position` repeats `center`.
+    Without true poses (`World.poses`), reward, success and out of range are computed from detected
+    centres, and `position` equals `center`.
 
     Attributes:
         config: The `env` part of the experiment's config.
-        world: Where the objects are.
+        world: The objects, the camera and the robot.
         push_space: The actions, and where pushes start.
-        n_objects: Objects of the next episode, 1 to `max_objects`; may be set.
-        record: Whether `episode_start` and `last_step` hold RGB pictures; may be set.
-        episode_start: What is fixed for the running episode.
+        n_objects: Objects in the next episode, 1 to `max_objects`; may be set.
+        record: Whether `episode_start` and `last_step` include RGB pictures; may be set.
+        episode_start: The constants and first moment of the current episode.
         last_step: The last push; None at the start of an episode.
     """
 
-    scene_type: type[Scene] = Scene  # a subclass may show more
+    scene_type: type[Scene] = Scene  # a subclass may add fields
 
     def __init__(
         self, config: EnvConfig, seed: int | None = None, world: World | None = None
     ) -> None:
-        """Build the world.
+        """Build perception and world.
 
         Args:
             config: The `env` part of the experiment's config.
-            seed: Seed of the episodes' seeds; drawn by torch if None.
-            world: Where to push; the one that the config names if None.
+            seed: Seed from which episode seeds are drawn; None draws one from torch.
+            world: The world to push in; None builds the one that the config names.
 
         Raises:
-            SdfgcnError: The catalogue or the perception's weights cannot be had, or the config
-                names no such perception or SDF method.
+            SdfgcnError: The catalogue or the perception's weights are unavailable, or the config
+                names an unknown perception or SDF method.
         """
         arena = config.arena
         self._sdf = SdfTransform(config.perception.sdf, arena.image_size)
@@ -80,7 +80,7 @@ class RearrangementEnv(EnvBase):
         self.push_space = PushSpace(config.push, arena)
         self._perception = perception(config.perception, config.max_objects)
         self.world: World = world or WORLDS.find(config.world.name)(config)
-        self.is_closed = False  # TorchRL's base class has nothing to close, and says True
+        self.is_closed = False  # TorchRL's base class sets True, as it has nothing to close
         self._allowed = Region.range(arena)
         self.record = False
         self._episode_seed: int | None = None
@@ -109,7 +109,7 @@ class RearrangementEnv(EnvBase):
                 observation[key] = Unbounded((size, size, 3), dtype=torch.uint8)
         self.observation_spec = Composite(observation)
         self.action_spec = self.push_space.spec(n)
-        self._action_leaf = self.action_spec  # to look it up takes a third of a millisecond
+        self._action_leaf = self.action_spec  # a lookup takes a third of a millisecond
         self.reward_spec = Unbounded((1,), dtype=torch.float32)
         flags = ("done", "terminated", "truncated")
         self.done_spec = Composite({key: Binary(shape=(1,), dtype=torch.bool) for key in flags})
@@ -120,7 +120,7 @@ class RearrangementEnv(EnvBase):
         self._rng = np.random.default_rng(seed)
 
     def reset_episode(self, seed: int) -> TensorDictBase:
-        """Reset to the episode that `seed` stands for, whatever came before."""
+        """Reset to the episode that `seed` determines, whatever came before."""
         self._episode_seed = seed
         return self.reset()
 
@@ -133,7 +133,7 @@ class RearrangementEnv(EnvBase):
         return self._begin(seed, pushes=0)
 
     def _begin(self, seed: int, pushes: int) -> TensorDictBase:
-        """Look at the goal and at the table, as the world has them."""
+        """Start observing from the world's current state, with `pushes` pushes done."""
         self._seed_of_episode = seed
         goal = self.world.look_at_goal()
         self._goal = self._snapshot(self._perception.see_goal(goal), None, goal)
@@ -195,10 +195,10 @@ class RearrangementEnv(EnvBase):
     # ------------------------------------------------------------------ saving and restoring
 
     def save_state(self) -> dict[str, Any]:
-        """All that the rest of the episode, and later ones, depend on, as JSON knows it.
+        """The state that the rest of the episode and later ones depend on, in JSON types.
 
         Raises:
-            SdfgcnError: The world cannot go back.
+            SdfgcnError: The world cannot be restored.
         """
         return {
             "world": self.world.save_state(),
@@ -208,10 +208,10 @@ class RearrangementEnv(EnvBase):
         }
 
     def restore_state(self, state: dict[str, Any]) -> TensorDictBase:
-        """Go back to a saved state, also one of another environment with the same config.
+        """Restore a saved state, which may come from another env with the same config.
 
         Returns:
-            The observation there.
+            The observation in that state.
         """
         self.world.restore_state(state["world"])
         self._rng.bit_generator.state = state["rng"]
@@ -220,7 +220,7 @@ class RearrangementEnv(EnvBase):
     # ------------------------------------------------------------------ looking
 
     def _look(self) -> None:
-        """Take a picture: what it shows, and which pushes it offers."""
+        """Take a picture; update the snapshot, the push plan and the action mask."""
         view = self.world.look()
         masks, matched = self._perception.see(view)
         self._now = self._snapshot(masks, matched, view)
@@ -231,7 +231,7 @@ class RearrangementEnv(EnvBase):
     def _snapshot(
         self, masks: NDArray[np.bool_], matched: NDArray[np.bool_] | None, view: View
     ) -> Snapshot:
-        """What [k, H, W] masks show; `matched` [k] of a picture, None for the goal's."""
+        """The snapshot of masks [k, H, W]; `matched` [k] is None for the goal."""
         n, size = self.config.max_objects, self.config.arena.image_size
         found = detected(masks, self.config.perception.min_pixels)
         masks = masks[found]
@@ -245,7 +245,7 @@ class RearrangementEnv(EnvBase):
         scene = self.scene_type.of(Detections(masks, sdf, center, position), found, n, size)
         rows = scene.node_mask.numpy().copy()
         if matched is not None:
-            # A mask that is too small to count is matched with nothing, and nothing is with it.
+            # A mask too small to be a detection has no match, on either side.
             rows[: len(matched)] &= matched
             rows &= self._goal.scene.node_mask.numpy()
         pixels = view.pixels() if self.record or self.config.pixels else None
@@ -260,7 +260,7 @@ class RearrangementEnv(EnvBase):
         poses: NDArray[np.float64] | None,
         found: NDArray[np.bool_],
     ) -> NDArray[np.float64]:
-        """[m, 2] the true centres of what the m detections show, metres; else the seen ones."""
+        """[m, 2] true centres of the m detections, metres; detected ones without truth."""
         if poses is None:
             return center
         if self._perception.rows_are_slots:
@@ -291,7 +291,7 @@ class RearrangementEnv(EnvBase):
         return TensorDict(values, batch_size=[])
 
     def close(self, *, raise_if_closed: bool = True) -> None:
-        """Free the world."""
+        """Release the world's resources."""
         if not self.is_closed:
             self.world.close()
         super().close(raise_if_closed=raise_if_closed)

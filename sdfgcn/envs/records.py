@@ -1,6 +1,6 @@
-"""What an environment reports about an episode besides its observations.
+"""Records of an episode that an env keeps besides its observations.
 
-Recorders and result tables read these. Shapes: n objects in the episode (slots, in the order of
+Recorders and result tables read them. Shapes: n objects in the episode (slots, in the order of
 the truth), N rows of a scene, D push directions, H and W the picture's size.
 """
 
@@ -21,10 +21,10 @@ class Snapshot:
     """One moment of an episode.
 
     Attributes:
-        scene: What perception made of the picture.
+        scene: The output of perception.
         matched: bool [N] the rows in which the scene and the goal show the same object; for the
-            goal itself its own rows.
-        pixels: uint8 [H, W, 3] the RGB picture; None unless the environment records.
+            goal itself, its detected rows.
+        pixels: uint8 [H, W, 3] the RGB picture; None unless the env records or observes pixels.
         poses: float64 [n, 7] true poses by slot: xyz in metres, quaternion w, x, y, z; None in a
             world without truth.
     """
@@ -37,13 +37,13 @@ class Snapshot:
 
 @dataclass(frozen=True)
 class EpisodeStart:
-    """What is fixed for one episode, and its first moment.
+    """The constants of an episode and its first moment.
 
     Attributes:
         seed: The episode's seed.
-        n_objects: Objects of the episode.
+        n_objects: Objects in the episode.
         truth: The objects, their colours and true goals; None in a world without truth.
-        start: The start.
+        start: The first moment.
         goal: The arrangement to reach.
         camera: The camera that took both pictures.
     """
@@ -58,12 +58,12 @@ class EpisodeStart:
 
 @dataclass(frozen=True)
 class Push:
-    """The push that an action stood for, and what became of it.
+    """The push that an action encodes, and its outcome.
 
     Attributes:
-        row: The row that was pushed, in the scene before the push.
-        direction: Which of the D directions.
-        angle: Where that heads, radians counter-clockwise from the world's x axis.
+        row: The pushed row, in the scene before the push.
+        direction: Index of the direction, 0 to D - 1.
+        angle: Heading of the direction, radians counter-clockwise from the world's x axis.
         result: Status, start and end.
     """
 
@@ -75,21 +75,21 @@ class Push:
 
 @dataclass(frozen=True)
 class StepRecord:
-    """One push and what came of it.
+    """One step of an episode.
 
     Attributes:
         index: 1 for the first push of the episode.
-        push: What was executed.
+        push: The push that was executed.
         after: The moment after the push.
-        distances: float, the distance of each object to its goal after the push, metres: by slot
-            with truth, else of each matched row.
+        distances: float64 [k] distance of each object to its goal after the push, metres; as in
+            `Standing`.
         reward_terms: The reward's terms by name.
-        reward: Their sum, as the agent gets it.
+        reward: Their sum, which the agent receives.
         success: Every object lies within the threshold of its goal.
         out_of_range: An object left the allowed region.
-        terminated: The episode ended by success, out of range, or because nothing is detected.
+        terminated: The episode ended in success, out of range, or with no object detected.
         truncated: The episode ended at the step limit.
-        legal: bool [N, D] which pushes were legal.
+        legal: bool [N, D] the pushes that were legal.
         q_values: float [N, D] the agent's action values, if it has any.
     """
 

@@ -1,4 +1,4 @@
-"""The reward of one push (paper section IV d; figures of the authors' code)."""
+"""The reward of one push (paper section IV d; values from the authors' code)."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ def reward_terms(
     vanished: int = 0,
     none_left: bool = False,
 ) -> dict[str, float]:
-    """The reward's named terms; their sum is the reward.
+    """The terms of the reward by name; their sum is the reward.
 
     Args:
         config: Weights.
-        before: [k] distances to the goal before the push, metres; NaN where one is not known.
-        after: [k] distances after it, of the same objects or rows.
+        before: [k] distances to the goal before the push, metres; NaN where unknown.
+        after: [k] distances after the push, of the same objects or rows.
         success: Every object lies at its goal.
         out_of_range: An object left the allowed region.
-        vanished: How many objects this push made vanish from the detections.
-        none_left: No object is detected any more.
+        vanished: How many objects disappeared from the detections with this push.
+        none_left: No object is detected.
 
     Returns:
         `progress`: weight * sum of (before - after), where both are known. `step`: cost of a push.
-        `floor`: what lifts progress and step to the lower bound. `success`, `out_of_range`,
-        `vanished`, `none_left`: once, when it happens.
+        `floor`: the amount that raises progress and step to their lower bound. `success`,
+        `out_of_range`, `vanished`, `none_left`: given when the event happens.
     """
     progress = config.progress * float(np.nansum(before - after))
     return {

@@ -1,6 +1,6 @@
-"""How far the objects are from their goals: apart from the reward, which follows from it.
+"""How far the objects are from their goals; the reward is computed from this.
 
-By the true poses where a world knows them, else by the centres that were seen.
+True poses are used where the world knows them, detected centres otherwise.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from sdfgcn.task.scene import Scene
 
 @dataclass(frozen=True)
 class Standing:
-    """Where an episode stands.
+    """The state of an episode relative to its goal.
 
     Attributes:
         distances: float64 [k] horizontal distance of each object to its goal, metres: by slot with
-            true poses, else by row, NaN where a row is not matched.
-        success: Every object is within the threshold of its goal at the same moment.
-        out_of_range: Some object's centre has left the allowed region.
+            true poses, else by row, NaN for an unmatched row.
+        success: Every object is within the threshold of its goal.
+        out_of_range: Some object's centre is outside the allowed region.
     """
 
     distances: NDArray[np.float64]
@@ -34,11 +34,11 @@ class Standing:
 def true_standing(
     poses: NDArray[np.float64], goal_poses: NDArray[np.float64], threshold: float, allowed: Region
 ) -> Standing:
-    """By the objects' true centres.
+    """The standing by true centres.
 
     Args:
-        poses: [n, 7] xyz in metres and a quaternion.
-        goal_poses: [n, 7] likewise.
+        poses: [n, 7] current poses: xyz in metres and a quaternion.
+        goal_poses: [n, 7] goal poses, in the same format.
         threshold: Distance at which an object is at its goal, metres.
         allowed: Where an object may be.
     """
@@ -53,11 +53,11 @@ def true_standing(
 def seen_standing(
     scene: Scene, goal: Scene, matched: NDArray[np.bool_], threshold: float, allowed: Region
 ) -> Standing:
-    """By the centres of what was seen; an object of the goal that is not matched is not there.
+    """The standing by detected centres; an unmatched goal object counts as not at its goal.
 
     Args:
-        scene: The picture.
-        goal: The goal's picture.
+        scene: The current scene.
+        goal: The goal's scene.
         matched: bool [N] the rows in which both show the same object.
         threshold: Distance at which an object is at its goal, metres.
         allowed: Where an object may be.
@@ -74,15 +74,15 @@ def seen_standing(
 
 
 def nearest_objects(center: NDArray[np.float64], true: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The true centres of what detections show.
+    """Assign true centres to detections.
 
     Args:
         center: [m, 2] detected centres, metres.
         true: [n, 2] the objects' true centres, metres.
 
     Returns:
-        [m, 2] for each detection the object nearest to it, no two the same one (least total
-        distance); a detection too many keeps its own centre.
+        [m, 2] for each detection, the true centre of a distinct object, at least total distance; a
+        surplus detection keeps its own centre.
     """
     position = center.copy()
     distances = np.linalg.norm(center[:, None] - true[None], axis=-1)

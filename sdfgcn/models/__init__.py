@@ -1,6 +1,6 @@
-"""Q-networks: from an observation to the value of every object and direction.
+"""Q-networks: from an observation to the value of each object and direction.
 
-Each registers with `sdfgcn.registry.MODELS` where it is defined.
+Each network registers with `sdfgcn.registry.MODELS` where it is defined.
 """
 
 from __future__ import annotations
@@ -30,29 +30,29 @@ def build_q_network(
     generator: torch.Generator | int,
     device: torch.device | str = "cpu",
 ) -> QNetwork:
-    """Build the Q-network that `config` names, with weights drawn from `generator` alone.
+    """Build the Q-network that `config` names, with initial weights drawn from `generator` alone.
 
     Args:
         config: The `model` part of the experiment's config.
         n_directions: D, the push directions of each object (`env.push.directions`).
         max_objects: N, the rows of an observation (`env.max_objects`).
         image_size: Height and width of the pictures, pixels (`env.arena.image_size`).
-        generator: Where the initial weights are drawn from, on the CPU, or a seed; torch's global
-            generator is left alone.
-        device: Where the network is to live.
+        generator: Source of the initial weights, on the CPU, or a seed; torch's global generator
+            is left unchanged.
+        device: Where to put the network.
 
     Returns:
         A TensorDictModule that reads `in_keys` and writes `action_value`.
 
     Raises:
-        SdfgcnError: There is no such network, or its config contradicts itself.
+        SdfgcnError: There is no such network, or its config is inconsistent.
     """
     build = lookup(q_networks(), "model.name", config.name)
     assert isinstance(config, QNetworkConfig)
     config.check_network(image_size)
     if isinstance(generator, int):
         generator = torch.Generator().manual_seed(generator)
-    with torch.random.fork_rng(devices=[]):  # layers draw first weights from the global generator
+    with torch.random.fork_rng(devices=[]):  # layers draw from the global generator first
         torch.manual_seed(generator.initial_seed())
         network = build(config, n_directions, max_objects, image_size)
     initialise(network, generator)

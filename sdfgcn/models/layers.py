@@ -1,17 +1,17 @@
-"""Layers of the Q-networks: blocks, propagation along edges, the last linear layers.
+"""Layers of the Q-networks: blocks, propagation along edges, and the output head.
 
-Propagation is the paper's rule H' = act(D^-1/2 (A + I) D^-1/2 H W), with a convolution as W or,
-for positions, a linear layer (section V B).
+Propagation follows the paper's rule H' = act(D^-1/2 (A + I) D^-1/2 H W), where W is a convolution
+or, for positions, a linear layer (section V B).
 
 `shared` is that rule as written, and it cannot solve the task. Take a complete graph in which all
-n objects have their goals. Every node then has degree n + 1, and a current node gets
-(the sum of all current nodes + its goal's node) / (n + 1): which of the current nodes it was itself
-is lost. Two such layers give it a sum over all objects, in which nobody knows whose goal is whose,
-and its own features, which come back through its goal's node. Exchange the goals of two objects,
-and no Q-value changes.
+n objects have their goals. With the self loop, every node has degree n + 1, and a current node gets
+(the sum of all current nodes + its goal's node) / (n + 1), so its own features are lost in the sum.
+After two such layers it has a sum over all objects, which does not say which goal belongs to which
+object, and its own features, returned through its goal's node. Swapping the goals of two objects
+changes no Q-value.
 
-`split` gives the self loop weights of its own, as the authors' code does:
-H' = act(D^-1/2 (A H W + I H W_own) D^-1/2). With W_own = W the two are the same.
+`split` gives the self loop its own weights, as the authors' code does:
+H' = act(D^-1/2 (A H W + I H W_own) D^-1/2). With W_own = W the two rules are the same.
 """
 
 from __future__ import annotations
@@ -28,21 +28,21 @@ from sdfgcn.errors import SdfgcnError
 from sdfgcn.models.graph import OccupiedNodes
 
 # In a graph of three objects with goals, a node gets a quarter of each of its three neighbours and
-# a quarter of itself. With these gains, both parts are as large as one node's features.
+# a quarter of itself. With these gains, each part is as large as one node's features.
 NEIGHBOURS_GAIN, OWN_GAIN = 4.0 / 3.0, 4.0
 
-# Whether the self loop has weights of its own.
+# Whether the self loop has its own weights.
 PROPAGATIONS: dict[str, bool] = {"split": True, "shared": False}
 
 
 class Propagation(nn.Module):
-    """One propagation layer; as many channels come out as go in."""
+    """One propagation layer, with equal numbers of input and output channels."""
 
     def __init__(self, layer: Callable[..., nn.Module], propagation: str):
         """Make the weights.
 
-        `layer` makes a convolution or linear layer and takes `bias`; `propagation` is a key of
-        `PROPAGATIONS`, which the module's docstring explains.
+        `layer` builds a convolution or linear layer and takes `bias`; `propagation` is a key of
+        `PROPAGATIONS`, explained in the module's docstring.
         """
         super().__init__()
         self.weights = layer(bias=True)
@@ -53,9 +53,9 @@ class Propagation(nn.Module):
 
         Args:
             rows: [M, ...] features of the occupied nodes.
-            nodes: The graphs that they belong to.
-            current_only: Whether to compute the current scene's nodes alone: the last layer needs
-                no others.
+            nodes: The graphs of these nodes.
+            current_only: Whether to compute the current scene's nodes only, which is all that is
+                needed of the last layer.
 
         Returns:
             The new features [M, ...], or those of the current nodes [M_current, ...].
@@ -74,7 +74,7 @@ class Propagation(nn.Module):
 def propagate(
     blocks: nn.ModuleList, propagations: nn.ModuleList, rows: Tensor, nodes: OccupiedNodes
 ) -> Tensor:
-    """Run the sets of block and propagation layer (paper Fig. 4) on node features [M, ...].
+    """Apply each block and its propagation layer (paper Fig. 4) to node features [M, ...].
 
     Returns:
         [M_current, ...] features of the current scene's nodes.
@@ -88,7 +88,7 @@ def propagate(
 def conv_block(
     n_inputs: int, channels: Sequence[int], strides: Sequence[int], pooling: int
 ) -> nn.Sequential:
-    """3x3 convolutions with a ReLU after each, then max pooling (paper Fig. 4)."""
+    """3x3 convolutions, each followed by a ReLU, then max pooling (paper Fig. 4)."""
     layers: list[nn.Module] = []
     for (before, after), stride in zip(pairwise([n_inputs, *channels]), strides, strict=True):
         layers += [nn.Conv2d(before, after, 3, stride, padding=1), nn.ReLU(inplace=True)]
@@ -98,14 +98,14 @@ def conv_block(
 
 
 def in_channels_last(block: nn.Module) -> bool:
-    """Whether a block's first convolution keeps its weights with the channels last."""
+    """Whether the weights of a block's first convolution are in channels-last format."""
     weight = next(block.children()).weight  # TorchRL's losses leave `parameters()` empty
     assert isinstance(weight, Tensor)
     return not weight.is_contiguous() and weight.is_contiguous(memory_format=torch.channels_last)
 
 
 def linear_block(n_inputs: int, channels: Sequence[int]) -> nn.Sequential:
-    """Linear layers with a ReLU after each."""
+    """Linear layers, each followed by a ReLU."""
     layers: list[nn.Module] = []
     for before, after in pairwise([n_inputs, *channels]):
         layers += [nn.Linear(before, after), nn.ReLU(inplace=True)]
@@ -125,10 +125,10 @@ def q_head(n_inputs: int, hidden: int, n_outputs: int) -> nn.Sequential:
 def check_widths(
     key: str, values: Sequence[Sequence[int]], blocks: Sequence[Sequence[object]]
 ) -> None:
-    """Check that `values` have a number for every entry of every block, as `blocks` have.
+    """Check that `values` has one number for every entry of every block in `blocks`.
 
     Raises:
-        SdfgcnError: A number is missing or too many.
+        SdfgcnError: There are too few or too many numbers.
     """
     lengths = [len(block) for block in blocks]
     if not values or [len(block) for block in values] != lengths or min(lengths) < 1:
@@ -140,14 +140,14 @@ def check_widths(
 
 @torch.no_grad()
 def initialise(network: nn.Module, generator: Generator) -> None:
-    """Draw convolutions and linear layers for ReLUs (He et al. 2015), with biases of zero."""
+    """Draw the weights of convolutions and linear layers (He et al. 2015); biases are zero."""
     for module in network.modules():
         if isinstance(module, nn.Conv2d | nn.Linear):
             nn.init.kaiming_normal_(module.weight, nonlinearity="relu", generator=generator)
             if module.bias is not None:
                 module.bias.zero_()
-    # A split layer adds two outputs, which doubles the variance, and normalising the adjacency has
-    # made its inputs smaller.
+    # A split layer adds two outputs, which doubles the variance, and normalising the adjacency
+    # makes its inputs smaller.
     for module in network.modules():
         if isinstance(module, Propagation) and module.own_weights is not None:
             module.weights.weight.mul_(math.sqrt(0.5) * NEIGHBOURS_GAIN)  # type: ignore[operator]

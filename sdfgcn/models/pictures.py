@@ -1,4 +1,4 @@
-"""Pictures of objects as the input of convolutions, and the config of networks that read them."""
+"""Pictures of objects as network input, and the config of convolutional networks."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from sdfgcn.models.layers import check_widths
 
 
 def scaled_sdf(sdf: Tensor, unit: float) -> Tensor:
-    """Signed distances in units of so many pixels, shifted by -1; in place.
+    """Scale signed distances to multiples of `unit` pixels, then subtract 1; in place.
 
-    Far from every object they are about a unit, and inputs that are all positive learn slowly.
+    Distances far from an object are about one unit, and all-positive inputs slow down learning.
     """
     return sdf.mul_(1.0 / unit).sub_(1.0)
 
@@ -26,7 +26,7 @@ def object_mask(sdf: Tensor, unit: float) -> Tensor:
     return sdf.lt_(0.0)
 
 
-# Named functions: collectors in other processes get a network by pickling it.
+# Named functions, not lambdas: networks are pickled for collectors in other processes.
 PICTURES: dict[str, Callable[[Tensor, float], Tensor]] = {
     "sdf": scaled_sdf,
     "mask": object_mask,
@@ -35,13 +35,13 @@ PICTURES: dict[str, Callable[[Tensor, float], Tensor]] = {
 
 @dataclass
 class ConvWidthConfig:
-    """How wide the convolutions are: one entry for each CNN block.
+    """The width of the convolutions; lists have one entry per CNN block.
 
     Attributes:
         channels: Output channels of each convolution of the block.
         strides: Stride of each convolution of the block.
-        pooling: Size and stride of the max pooling that ends the block; 1 is none.
-        hidden: Units between the two last linear layers.
+        pooling: Size and stride of the max pooling at the end of the block; 1 is none.
+        hidden: Units between the last two linear layers.
     """
 
     channels: list[list[int]] = at_least(1)
@@ -50,7 +50,7 @@ class ConvWidthConfig:
     hidden: int = at_least(1)
 
     def final_size(self, image_size: int) -> int:
-        """Height and width that the blocks leave of a picture of `image_size`, pixels."""
+        """Height and width of the blocks' output for a picture of `image_size`, pixels."""
         for strides, pooling in zip(self.strides, self.pooling, strict=True):
             for stride in strides:
                 image_size = (image_size - 1) // stride + 1  # 3x3 convolutions, padded
@@ -63,10 +63,11 @@ class ConvConfig(QNetworkConfig):
     """A Q-network over pictures.
 
     Attributes:
-        features: What a picture shows, a key of `PICTURES`.
-        sdf_unit: The distance that becomes 0, and its unit, as a share of the picture's height.
-        width: The key of `widths` that is used.
-        widths: The choices.
+        features: The content of a picture, a key of `PICTURES`.
+        sdf_unit: The distance that maps to 0 and is the unit of scaling, as a share of the
+            picture's height.
+        width: The key of `widths` to use.
+        widths: The available widths.
     """
 
     features: str = one_of(*PICTURES)

@@ -24,7 +24,7 @@ from sdfgcn.models.q_network import QNetwork, spread_to_rows
 from sdfgcn.registry import MODELS
 from sdfgcn.task.scene import Scene
 
-# Which positions a network can read of a scene, [*B, N, 2] in metres.
+# The positions that a network can read from a scene, [*B, N, 2] in metres.
 POSITIONS: dict[str, Callable[[Scene], Tensor]] = {
     "center": attrgetter("center"),
     "position": attrgetter("position"),
@@ -36,10 +36,10 @@ class PoseGcnConfig(QNetworkConfig):
     """A graph convolutional Q-network over positions (`conf/model/pose_gcn.yaml`).
 
     Attributes:
-        features: Which position a node shows, a key of `POSITIONS`.
-        position_unit: The length that becomes 1, metres.
-        channels: Units of each linear layer, one list for each block.
-        hidden: Units between the two last linear layers.
+        features: The position in the node features, a key of `POSITIONS`.
+        position_unit: The unit of length of the node features, metres.
+        channels: Units of each linear layer, one list per block.
+        hidden: Units between the last two linear layers.
     """
 
     features: str = one_of(*POSITIONS)
@@ -57,9 +57,9 @@ class PoseGcnConfig(QNetworkConfig):
 
 @MODELS.register("pose_gcn", "gt_pose_gcn", config=PoseGcnConfig)
 class PoseGcn(QNetwork):
-    """Sets of linear layers and MLP propagation over the graph of positions.
+    """Blocks of linear layers, each followed by MLP propagation, over the graph of positions.
 
-    Takes any number of rows.
+    Accepts any number of rows.
     """
 
     def __init__(self, config: PoseGcnConfig, n_directions: int, max_objects: int, image_size: int):

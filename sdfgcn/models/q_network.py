@@ -1,4 +1,4 @@
-"""What all Q-networks share: how they are built, and how TorchRL calls them."""
+"""The base class of all Q-networks: construction, and the interface to TorchRL."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from sdfgcn.task.scene import Scene
 
 
 class QNetwork(TensorDictModuleBase):
-    """Reads an observation of any batch shape, writes the value of every action.
+    """Reads an observation of any batch shape and writes the value of every action.
 
     A subclass implements `action_values` and registers with `sdfgcn.registry.MODELS`. `*B` is the
-    batch shape, N the number of rows, D that of push directions.
+    batch shape, N the number of rows, D the number of push directions.
 
     Attributes:
-        in_keys: `scene`, `goal` and `matched`, as `RearrangementEnv` has them.
+        in_keys: `scene`, `goal` and `matched`, as in `RearrangementEnv`.
         out_keys: `action_value`, float32 [*B, N * D], in the order of `PushSpace`'s actions.
-        fixed_rows: Whether the network takes observations of `max_objects` rows only.
+        fixed_rows: Whether observations must have exactly `max_objects` rows.
         config: The `model` part of the experiment's config.
         n_directions: D.
-        max_objects: The N that it was built with.
+        max_objects: The N that it was built for.
         image_size: Height and width of its pictures, pixels.
     """
 
@@ -35,7 +35,7 @@ class QNetwork(TensorDictModuleBase):
     def __init__(
         self, config: QNetworkConfig, n_directions: int, max_objects: int, image_size: int
     ):
-        """Keep what the network is built from; see the attributes."""
+        """Set the attributes of the same names."""
         super().__init__()
         self.in_keys = ["scene", "goal", "matched"]
         self.out_keys = ["action_value"]
@@ -58,7 +58,7 @@ class QNetwork(TensorDictModuleBase):
 
         Args:
             scene: Current scenes [B].
-            goal: Their goals [B].
+            goal: Goal scenes [B].
             matched: bool [B, N] the rows in which both show the same object.
 
         Returns:
@@ -67,14 +67,14 @@ class QNetwork(TensorDictModuleBase):
 
 
 def _flat(scenes: TensorDictBase, count: int) -> Scene:
-    """Scenes of any batch shape with `count` elements as [count]; they share their memory."""
-    if not isinstance(scenes, Scene):  # some of TorchRL's operations leave a plain TensorDict
+    """View scenes of any batch shape as [count]; the memory is shared."""
+    if not isinstance(scenes, Scene):  # some TorchRL operations return a plain TensorDict
         scenes = Scene.from_tensordict(scenes.select(*Scene.declared()))
     return scenes.reshape(count)
 
 
 def spread_to_rows(values: Tensor, node_mask: Tensor) -> Tensor:
-    """Put the values [M, D] of detected objects into their rows, where `node_mask` [B, N] is true.
+    """Put the values [M, D] of detected objects into their rows, those with `node_mask` [B, N].
 
     Returns:
         float32 [B, N, D], zero for the other rows.

@@ -17,11 +17,11 @@ from sdfgcn.task.scene import Scene
 
 @MODELS.register("sdf_cnn", config=ConvConfig)
 class SdfCnn(QNetwork):
-    """Convolutions over 2N channels, then N * D values at once.
+    """Convolutions over 2N channels, then all N * D values at once.
 
-    Channel i is the object in row i, channel N + i the goal that it is matched with: without a
-    graph, the order of the channels is all that says which goal is whose. The channels of empty
-    rows, and of goals of objects without a match, are zero, the paper's padding.
+    Channel i is the object in row i, channel N + i its matched goal: without a graph, only the
+    order of the channels tells which goal belongs to which object. The channels of empty rows and
+    of unmatched goals are zero, as in the paper's padding.
     """
 
     fixed_rows: ClassVar[bool] = True
@@ -44,7 +44,7 @@ class SdfCnn(QNetwork):
         """See `QNetwork`.
 
         Raises:
-            SdfgcnError: The observation has another number of rows than the network.
+            SdfgcnError: The observation's number of rows differs from the network's.
         """
         node_mask, n = scene.node_mask, self.max_objects
         if node_mask.shape[-1] != n:

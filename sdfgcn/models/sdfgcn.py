@@ -34,9 +34,9 @@ class ConvGcnConfig(ConvConfig):
 
 @MODELS.register("sdfgcn", "separate", "segmentation_gcn", config=ConvGcnConfig)
 class SdfGcn(QNetwork):
-    """Sets of CNN block and CNN propagation layer over the SDF scene graph (paper Fig. 4).
+    """CNN blocks, each followed by CNN propagation, over the SDF scene graph (paper Fig. 4).
 
-    Takes any number of rows.
+    Accepts any number of rows.
     """
 
     def __init__(self, config: ConvGcnConfig, n_directions: int, max_objects: int, image_size: int):
@@ -62,7 +62,7 @@ class SdfGcn(QNetwork):
         picture = nodes.gather(scene.sdf, goal.sdf)
         picture = self._picture(picture, self._unit)
         label = nodes.is_goal.to(picture.dtype)[:, None, None].expand_as(picture)
-        # Channels last, where the weights are: else each convolution would copy its input twice.
+        # Channels last if the weights are: otherwise each convolution copies its input twice.
         dim = -1 if in_channels_last(self.blocks[0]) else 1
         rows = torch.stack([picture, label], dim).movedim(dim, 1)
         rows = propagate(self.blocks, self.propagations, rows, nodes)

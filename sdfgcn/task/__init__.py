@@ -1,1 +1,1 @@
-"""The nouns that all else is built on: scene, push space, world, camera and regions."""
+"""The core types of the task: scene, push space, world, camera and regions."""

@@ -37,7 +37,7 @@ class CameraModel:
         return 0.5 * self.size / float(np.tan(0.5 * self.fovy))
 
     def project(self, points: ArrayLike) -> NDArray[np.float64]:
-        """World points [..., 3] in metres to the picture.
+        """Project world points [..., 3], metres, into the picture.
 
         Returns:
             [..., 2] column u and row v, pixels; not clipped to the picture. A point that is not
@@ -46,10 +46,10 @@ class CameraModel:
         return self.project_scaled(points)[0]
 
     def project_scaled(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """World points [..., 3] in metres to the picture, and how large it shows things there.
+        """Like `project`, and with the scale of the picture at each point.
 
         Returns:
-            [..., 2] as `project`, and [...] pixels per metre across the line of sight.
+            [..., 2] as from `project`, and [...] pixels per metre across the line of sight.
         """
         local = (np.asarray(points, dtype=np.float64) - self.position) @ self.rotation
         depth = -local[..., 2]
@@ -59,7 +59,7 @@ class CameraModel:
         return pixels + 0.5 * self.size, scale
 
     def back_project(self, pixels: ArrayLike, height: ArrayLike = 0.0) -> NDArray[np.float64]:
-        """Where the ray through a pixel meets a horizontal plane.
+        """Where the ray through each pixel meets a horizontal plane.
 
         Args:
             pixels: [..., 2] column u and row v, pixels.
@@ -85,8 +85,8 @@ class CameraModel:
 def camera_model(arena: ArenaConfig) -> CameraModel:
     """The camera that the config describes.
 
-    It stands on the robot's side of the table (the paper's camera rides on the wrist), tilted
-    from straight down; up in the picture is +y, right is +x.
+    It is on the robot's side of the table (the paper's camera is on the wrist), tilted from
+    straight down; up in the picture is +y, right is +x.
 
     Returns:
         The camera, aimed at `camera_target` from `camera_distance` metres.

@@ -1,11 +1,11 @@
-"""The space of pushes: which there are, how an action stands for one, and where each starts.
+"""The space of pushes: the actions, the pushes they encode, and where each push starts.
 
-An action is one index: the row of the object to push, times the number of directions, plus the
-direction. Direction k of D heads 360 k / D degrees counter-clockwise from the table's x axis.
+An action is one index: row of the object to push * D + direction, for D directions. Direction k
+heads 360 k / D degrees counter-clockwise from the table's x axis.
 
-The start of a push lies on the line through the object's centre: from the centre back against
-the push direction to free space (paper section IV c). Everything comes from masks, their SDFs and
-the camera's geometry, never from true poses.
+The start of a push lies on the line through the object's centre: from the centre, back against
+the push direction, to the first free space (paper section IV c). Pushes are planned from masks,
+their SDFs and the camera's geometry, never from true poses.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from sdfgcn.task.camera import CameraModel, camera_model
 from sdfgcn.task.region import Region
 from sdfgcn.task.world import PushCommand
 
-MAX_SEARCH = 0.25  # metres back from the centre: past the largest object and one behind it
+MAX_SEARCH = 0.25  # metres back from the centre: past the largest object and another behind it
 
 
 @dataclass(frozen=True)
 class PushPlan:
-    """Every push that a picture offers, for its m detected objects and D directions.
+    """Every push in a picture, for its m detected objects and D directions.
 
     Attributes:
         center: [m, 2] the centre of each mask on the table, metres.
-        start: [m, D, 2] where the tool comes down, metres; NaN where the push is not legal.
-        free: [m, D] distance from there to the first surface ahead, metres.
+        start: [m, D, 2] where the tool comes down, metres; NaN where the push is illegal.
+        free: [m, D] distance from the start to the first surface ahead, metres.
         legal: [m, D] whether free space was found within the tool's bounds.
     """
 
@@ -46,20 +46,20 @@ class PushPlan:
 
 
 class PushSpace:
-    """The D push directions, their actions, and where each push of a picture starts.
+    """The D push directions, their actions, and where each push starts.
 
     Attributes:
         n_directions: D.
-        angles: [D] where each direction heads, radians counter-clockwise from the x axis.
+        angles: [D] heading of each direction, radians counter-clockwise from the x axis.
         camera: The camera that takes the pictures.
     """
 
     def __init__(self, config: PushConfig, arena: ArenaConfig) -> None:
-        """Prepare what is the same for every picture."""
+        """Precompute what does not depend on the picture."""
         n = config.directions
         self.n_directions = n
         self.angles = np.array([2.0 * np.pi * k / n for k in range(n)])
-        # Mirrored at x = 0, what heads at an angle a heads at 180 degrees - a.
+        # Mirroring at x = 0 turns a heading of a degrees into 180 - a.
         self._mirrored = torch.tensor([(n // 2 - k) % n for k in range(n)])
         self.camera: CameraModel = camera_model(arena)
         self._config = config
@@ -67,7 +67,7 @@ class PushSpace:
         back = np.arange(0.0, MAX_SEARCH, config.search_step)
         self._step = np.arange(len(back))
         ahead = np.array([[np.cos(angle), np.sin(angle)] for angle in self.angles])
-        # [D, S, 3]: S points on each line, ever further behind an object at the origin.
+        # [D, S, 3]: S points on each line, further and further behind an object at the origin.
         self._behind = np.zeros((n, len(back), 3))
         self._behind[..., :2] = -back[:, None] * ahead[:, None, :]
 
@@ -82,54 +82,54 @@ class PushSpace:
         return divmod(action, self.n_directions)
 
     def degrees(self, direction: int) -> float:
-        """Where a direction heads, degrees counter-clockwise from the x axis."""
+        """The heading of a direction, degrees counter-clockwise from the x axis."""
         return 360.0 * direction / self.n_directions
 
     def spec(self, rows: int) -> Categorical:
-        """The spec of an action with so many rows."""
+        """The action spec for `rows` rows."""
         return Categorical(rows * self.n_directions, shape=(), dtype=torch.int64)
 
     def by_direction(self, values: Tensor) -> Tensor:
-        """[..., N, D] from values [..., N * D] of every action."""
+        """Reshape values [..., N * D] of every action to [..., N, D]."""
         return values.unflatten(-1, (-1, self.n_directions))
 
     def nearest(self, offset: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Rank the directions [D] by their angle to an offset [2] on the table, nearest first."""
+        """Rank the directions [D] by angle to an offset [2] on the table, nearest first."""
         turn = 2 * np.pi / self.n_directions
         angle = np.arctan2(offset[1], offset[0])
         gap = (np.arange(self.n_directions) * turn - angle + np.pi) % (2 * np.pi) - np.pi
         return np.argsort(np.abs(gap), kind="stable")
 
     def mirrored(self, values: Tensor) -> Tensor:
-        """Values [..., N * D] of every action, as the scene mirrored at x = 0 has them."""
+        """Reorder values [..., N * D] of every action for the scene mirrored at x = 0."""
         return self.by_direction(values)[..., self._mirrored].flatten(-2)
 
     def mirrored_action(self, action: Tensor) -> Tensor:
-        """The actions, int64 of any shape, that do the same in the mirrored scene."""
+        """The equivalent actions in the mirrored scene; int64 of any shape."""
         direction = action % self.n_directions
         return action - direction + self._mirrored[direction]
 
     def turned(self, values: Tensor, steps: int) -> Tensor:
-        """Values [..., N * D] of every action, as the scene turned by `steps` directions has them.
+        """Reorder values [..., N * D] of every action for the scene rotated by `steps` directions.
 
-        The scene turns counter-clockwise about the vertical, by 360 / D degrees a step.
+        The scene rotates counter-clockwise about the vertical, 360 / D degrees per step.
         """
         return self.by_direction(values).roll(steps, dims=-1).flatten(-2)
 
     # ------------------------------------------------------------------ pushes of a picture
 
     def centers(self, masks: NDArray[np.bool_]) -> NDArray[np.float64]:
-        """[m, 2] the centre of each of the [m, H, W] masks on the table, metres; none is empty."""
+        """[m, 2] centres on the table, metres, of [m, H, W] masks; no mask may be empty."""
         m, height, width = masks.shape
-        # Whole and half numbers this small are exact in single precision.
+        # Integers and halves this small are exact in single precision.
         sums = masks.reshape(m, height * width).astype(np.float32) @ _moments(height, width)
         middle = sums[:, 1:] / sums[:, :1].astype(float)
         return self.camera.back_project(middle, self._config.plane_height)[..., :2]
 
     def plan(self, masks: NDArray[np.bool_], sdfs: NDArray[np.float32]) -> PushPlan:
-        """Find where the push of every object in every direction starts.
+        """Find the start of the push of every object in every direction.
 
-        The [m, H, W] masks are not empty; `sdfs` are their signed distance fields, pixels.
+        No mask [m, H, W] may be empty; `sdfs` are their signed distance fields, pixels.
         """
         m = len(masks)
         if m == 0:
@@ -143,21 +143,21 @@ class PushSpace:
         line = points[..., :2]
         pixels, scale = camera.project_scaled(points)
 
-        # Outside the picture nothing is known to be free, and no object is known to reach there.
+        # Outside the picture, no space counts as free and no object extends.
         layers = np.concatenate([sdfs, sdfs.min(axis=0)[None]])
         own, union = _sample(layers, pixels, np.array([np.arange(m), np.full(m, m)]))
         inside = ((pixels > 0.0) & (pixels < camera.size)).all(axis=-1)
         own, union = np.where(inside, own, 1.0), np.where(inside, union, -1.0)
-        # Behind the object's rearmost part on the line: the centre of a ring is free, but not
-        # behind.
+        # The start must be behind the object's rearmost point on the line: the centre of a ring is
+        # free, but not behind it.
         behind = step > np.max(np.where(own <= 0.0, step, 0), axis=-1, keepdims=True)
         clear = (union >= config.clearance * scale) & behind & self._reach.contains(line)
         first = np.argmax(clear, axis=-1)
-        # The line must not have left the bounds before: they are convex, so one test is enough.
+        # The line must not leave the bounds before the start; they are convex, so one test will do.
         legal = clear.any(axis=-1)
         start = np.take_along_axis(line, first[..., None, None], axis=2)[..., 0, :]
         start = np.where(legal[..., None], start, np.nan)
-        # Ahead of the start, the nearest occupied point on the line.
+        # The nearest occupied point on the line ahead of the start.
         occupied = (union <= 0.0) & (step < first[..., None])
         surface = np.max(np.where(occupied, step, 0), axis=-1)
         free = (first - surface) * config.search_step
@@ -166,13 +166,13 @@ class PushSpace:
     def command(
         self, plan: PushPlan, detected: NDArray[np.bool_], row: int, direction: int
     ) -> PushCommand:
-        """The push of the object in a row, ready to be executed.
+        """The push of the object in a row, ready to execute.
 
         Args:
-            plan: Of the m detected objects.
-            detected: bool [k] which rows hold one.
-            row: A row; where it holds no object, the command's start is NaN.
-            direction: Where to push it.
+            plan: The plan for the m detected objects.
+            detected: bool [k] which rows hold a detected object.
+            row: The row to push; if it holds no object, the command's start is NaN.
+            direction: Index of the direction.
         """
         start, free = np.full(2, np.nan), 0.0
         if row < len(detected) and detected[row]:
@@ -183,13 +183,13 @@ class PushSpace:
     def action_mask(self, plan: PushPlan, detected: NDArray[np.bool_], rows: int) -> Tensor:
         """Which actions are legal.
 
-        Samplers and losses need one legal action everywhere, also in a terminal state: objects
-        that are boxed in may be tried in vain, and where nothing is detected, row 0 stands in.
+        Samplers and losses need at least one legal action, even in a terminal state. If no push is
+        legal, all pushes of the detected objects count as legal; without any, those of row 0.
 
         Args:
-            plan: Of the m detected objects.
-            detected: bool [k] which rows hold one.
-            rows: N, how many rows an observation has.
+            plan: The plan for the m detected objects.
+            detected: bool [k] which rows hold a detected object.
+            rows: N, the rows of an observation.
 
         Returns:
             bool [N * D], never all false.
@@ -204,24 +204,24 @@ class PushSpace:
 
 @functools.cache
 def _moments(height: int, width: int) -> NDArray[np.float32]:
-    """[H * W, 3] what each pixel adds to a mask's area and to its sums of columns and rows."""
+    """[H * W, 3] contribution of each pixel to a mask's area, column sum and row sum."""
     rows, columns = np.indices((height, width)) + 0.5
     return np.stack([np.ones_like(rows), columns, rows], axis=-1).reshape(-1, 3).astype(np.float32)
 
 
 def _sample(fields: NDArray, pixels: NDArray, layers: NDArray) -> NDArray[np.float64]:
-    """Bilinear samples of [L, H, W] fields, continued past their edges by the values there.
+    """Bilinear samples of [L, H, W] fields, clamped at the edges.
 
     Args:
         fields: [L, H, W].
-        pixels: [m, D, S, 2] where (u, v).
-        layers: [..., m] which of the fields for each of the m.
+        pixels: [m, D, S, 2] sample positions (u, v).
+        layers: [..., m] the field to sample for each of the m objects.
 
     Returns:
         [..., m, D, S].
     """
     _, height, width = fields.shape
-    # One field below the other, so that the interpolation has two dimensions and not three.
+    # The fields are stacked vertically, so that the interpolation is in two dimensions, not three.
     rows = np.clip(pixels[..., 1] - 0.5, 0.0, height - 1.0) + height * layers[..., None, None]
     columns = np.broadcast_to(pixels[..., 0] - 0.5, rows.shape)
     return map_coordinates(

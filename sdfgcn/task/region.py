@@ -30,7 +30,7 @@ class Region:
 
     @staticmethod
     def range(arena: ArenaConfig) -> Region:
-        """Where an object may be; beyond it is out of range."""
+        """Where an object may be; outside it, the object is out of range."""
         low, high = np.transpose([arena.range_x, arena.range_y])
         return Region(low, high)
 

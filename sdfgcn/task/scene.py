@@ -1,13 +1,13 @@
-"""What one picture shows, as one typed container: the noun that everything else is built on.
+"""The contents of one picture as a typed container.
 
-An observation holds a `Scene` twice, as `scene` (the table now) and as `goal`, row for row: row i
-of both shows the same object wherever `matched` says so. Each field is declared once, with what
-it shows, its shape, how it mirrors and how a replay buffer stores it; the environment, the replay
-buffer, hindsight, the mirror and the networks take whole scenes and keep no list of fields. A
-subclass with one more field, named to the environment, goes through all of them.
+An observation holds two scenes, `scene` (the table now) and `goal`: row i of both shows the same
+object wherever `matched` is true. Each field is declared once, with its source, its shape, how it
+is mirrored and how a replay buffer stores it. The env, the replay buffer, hindsight, the mirror
+and the networks handle whole scenes and keep no list of fields, so a subclass with another field
+only has to be set as the env's `scene_type`.
 
 Shapes: `*B` is the batch shape, N the rows (`env.max_objects`), H and W the picture's size, m the
-objects that were detected.
+detected objects.
 """
 
 from __future__ import annotations
@@ -27,14 +27,13 @@ from torchrl.data import Binary, Composite, Unbounded
 
 @dataclass(frozen=True)
 class Detections:
-    """The m objects that were found in one picture.
+    """The m objects detected in one picture.
 
     Attributes:
         masks: bool [m, H, W].
         sdf: float32 [m, H, W] signed distance to the mask's contour, pixels, negative inside.
-        center: float64 [m, 2] centre on the table as it was seen, metres.
-        position: float64 [m, 2] true centre of what is shown, metres; as seen where no truth is
-            known.
+        center: float64 [m, 2] detected centre on the table, metres.
+        position: float64 [m, 2] true centre, metres; equals `center` if the truth is unknown.
     """
 
     masks: NDArray[np.bool_]
@@ -45,15 +44,15 @@ class Detections:
 
 @dataclass(frozen=True)
 class SceneField:
-    """How one field of a scene comes about, mirrors and is stored.
+    """How one field of a scene is computed, mirrored and stored.
 
     Attributes:
-        of: Takes detections, returns [m, ...].
-        shape: Of one row, from the picture's size in pixels.
-        dtype: Of the tensor.
-        mirror: Takes the field of any batch shape, returns that of the scene mirrored at x = 0.
-        as_mask: Whether a replay buffer stores the bits of `field < 0` and restores the signed
-            distances from them.
+        of: Computes the field [m, ...] from detections.
+        shape: Shape of one row, given the picture's size in pixels.
+        dtype: Type of the tensor.
+        mirror: Maps the field, of any batch shape, to that of the scene mirrored at x = 0.
+        as_mask: Whether a replay buffer stores the field as the bits of `field < 0` and restores
+            signed distances from them.
     """
 
     of: Callable[[Detections], NDArray]
@@ -64,7 +63,7 @@ class SceneField:
 
 
 def unchanged(values: Tensor) -> Tensor:
-    """The mirror image of what has no left and right."""
+    """The mirror image of values without left and right."""
     return values
 
 
@@ -90,13 +89,13 @@ def scene_field(
 
 
 class Scene(TensorClass["nocast"]):  # type: ignore[misc, name-defined]
-    """What one picture shows; rows without a detected object are zero.
+    """The contents of one picture by row; rows without a detected object are zero.
 
     Attributes:
         sdf: float32 [*B, N, H, W] signed distances, pixels, negative inside (paper section III B).
         node_mask: bool [*B, N] which rows hold a detected object.
-        center: float32 [*B, N, 2] centre on the table as it was seen, metres.
-        position: float32 [*B, N, 2] true centre of what the row shows, metres.
+        center: float32 [*B, N, 2] detected centre on the table, metres.
+        position: float32 [*B, N, 2] true centre of the row's object, metres.
     """
 
     sdf: Tensor = scene_field(
@@ -128,8 +127,8 @@ class Scene(TensorClass["nocast"]):  # type: ignore[misc, name-defined]
         """Put detections into rows.
 
         Args:
-            seen: m detections.
-            rows: bool [k] with m of them true: the row of each detection, in order; k <= n.
+            seen: The m detections.
+            rows: bool [k], m of them true: the rows of the detections, in order; k <= n.
             n: Rows of the scene.
             size: Height and width of the picture, pixels.
         """
@@ -137,7 +136,7 @@ class Scene(TensorClass["nocast"]):  # type: ignore[misc, name-defined]
         places = np.flatnonzero(rows)
         for name, field in cls.declared().items():
             tensor = torch.zeros((n, *field.shape(size)), dtype=field.dtype)
-            # Cast to the field's type by numpy, which rounds as it always did.
+            # NumPy casts to the field's type.
             target = tensor.numpy()
             target[places] = field.of(seen)
             values[name] = tensor
@@ -145,7 +144,7 @@ class Scene(TensorClass["nocast"]):  # type: ignore[misc, name-defined]
 
     @property
     def masks(self) -> Tensor:
-        """Bool [*B, N, H, W] the pixels of each object."""
+        """Bool [*B, N, H, W] mask of each row."""
         return self.sdf < 0.0
 
     def mirrored(self) -> Self:
@@ -163,13 +162,13 @@ class Scene(TensorClass["nocast"]):  # type: ignore[misc, name-defined]
         )
 
     def unpacked(self, unpack: Callable[[Tensor, Tensor], Tensor]) -> Self:
-        """The scene that `packed` stored, given what turns bits back into signed distances."""
+        """The inverse of `packed`; `unpack` turns bits back into signed distances."""
         return self._changed(
             lambda name, field, values: unpack(values, self.node_mask) if field.as_mask else values
         )
 
     def by_row(self) -> Self:
-        """The same data with the rows as part of the batch shape, [*B, N]: to index rows."""
+        """The same data with batch shape [*B, N], so that rows can be indexed."""
         return cast(
             Self, self._changed(lambda name, field, values: values).auto_batch_size_(self.ndim + 1)
         )

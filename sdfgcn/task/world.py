@@ -1,9 +1,9 @@
-"""What an environment asks of a world: a simulation, or a real robot above a real table.
+"""The interface between an env and its world: a simulation, or a real robot and table.
 
-`sdfgcn.sim.world.MujocoWorld` is the one that comes with the package. An environment resets a
-world to an episode, looks at the goal and at the table, and has pushes executed. What only a
-simulation can know (true masks and true poses) is optional: without it, reward, success and
-results go by the centres that were seen.
+The package comes with `sdfgcn.sim.world.MujocoWorld`. An env resets the world to an episode, looks
+at the goal and at the table, and has pushes executed. Ground truth (true masks and poses), which
+only a simulation knows, is optional: without it, reward, success and results are computed from
+detected centres.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ PushStatus = Literal["done", "blocked", "unreachable", "no_contact"]
 
 @dataclass(frozen=True)
 class PushCommand:
-    """A push that has been planned from a picture (paper section IV c).
+    """A push planned from a picture (paper section IV c).
 
     Attributes:
-        start: [2] where the tool comes down, metres, world frame; NaN where there is no such push.
-        angle: Where the push heads, radians counter-clockwise from the world's x axis.
-        free: Distance from the start to the first surface that the picture shows, metres.
+        start: [2] where the tool comes down, metres, world frame; NaN if there is no such push.
+        angle: Heading of the push, radians counter-clockwise from the world's x axis.
+        free: Distance from the start to the first surface in the picture, metres.
     """
 
     start: NDArray[np.float64]
@@ -39,13 +39,13 @@ class PushCommand:
 
 @dataclass(frozen=True)
 class PushResult:
-    """What became of a push.
+    """The outcome of a push.
 
     Attributes:
-        status: "done"; "blocked" when the descent touched something and was given up;
-            "unreachable" when the robot cannot get there; "no_contact" when the push ran but
+        status: "done"; "blocked" if the descent touched something and was aborted;
+            "unreachable" if the robot cannot reach the push; "no_contact" if the push ran but
             touched no object.
-        start: [3] where the fingertips began to push, metres, world frame.
+        start: [3] where the fingertips started to push, metres, world frame.
         end: [3] where they stopped, metres, world frame.
     """
 
@@ -55,27 +55,27 @@ class PushResult:
 
 
 class View(Protocol):
-    """One moment, as the camera shows it; a picture is taken when it is asked for."""
+    """One moment seen by the camera; each method renders or takes its picture when called."""
 
     def pixels(self) -> NDArray[np.uint8]:
         """[H, W, 3] the RGB picture."""
 
     def true_masks(self) -> NDArray[np.bool_]:
-        """[n, H, W] one mask per object, all false where one is hidden.
+        """[n, H, W] one mask per object, all false for a hidden one.
 
         Raises:
-            SdfgcnError: The world does not know them.
+            SdfgcnError: The world does not know the true masks.
         """
 
 
 @dataclass(frozen=True)
 class Truth:
-    """What only a simulation knows of an episode, in the order of its n objects (its slots).
+    """Ground truth of an episode, which only a simulation knows, by slot (n objects).
 
     Attributes:
         objects: The objects.
-        colors: float [n, 4] RGBA, 0 to 1; an object with a texture ignores it.
-        goal_poses: float64 [n, 7] where the objects belong: xyz in metres, quaternion w, x, y, z.
+        colors: float [n, 4] RGBA, 0 to 1; ignored for textured objects.
+        goal_poses: float64 [n, 7] goal of each object: xyz in metres, quaternion w, x, y, z.
     """
 
     objects: tuple[ObjectModel, ...]
@@ -87,8 +87,8 @@ class World(Protocol):
     """A table with objects, a camera above it and a robot that pushes.
 
     Attributes:
-        camera: Takes every picture.
-        truth: What is known of the running episode besides pictures; None in a real world.
+        camera: The camera that takes every picture.
+        truth: Ground truth of the current episode; None in a real world.
     """
 
     camera: CameraModel
@@ -96,36 +96,36 @@ class World(Protocol):
 
     @property
     def n_objects(self) -> int:
-        """Objects of the running episode."""
+        """The number of objects in the current episode."""
 
     def reset(self, seed: int, n_objects: int) -> None:
-        """Begin the episode that the seed stands for, with the objects at its start.
+        """Start the episode that `seed` determines, with the objects at their start.
 
         Raises:
             SdfgcnError: There is no such episode.
         """
 
     def look_at_goal(self) -> View:
-        """The goal of the episode."""
+        """A view of the episode's goal."""
 
     def look(self) -> View:
-        """The table as it is."""
+        """A view of the table now."""
 
     def execute(self, command: PushCommand) -> PushResult:
-        """Push, and wait until everything lies still."""
+        """Push, and wait until everything is at rest."""
 
     def poses(self) -> NDArray[np.float64] | None:
-        """float64 [n, 7] the objects' true poses; None if the world has no truth."""
+        """float64 [n, 7] the objects' true poses; None in a world without ground truth."""
 
     def save_state(self) -> dict[str, Any]:
-        """All that the rest of the episode depends on, as JSON knows it.
+        """The state that the rest of the episode depends on, in JSON types.
 
         Raises:
-            SdfgcnError: The world cannot go back, as no real one can.
+            SdfgcnError: The world cannot be restored; no real one can.
         """
 
     def restore_state(self, state: dict[str, Any]) -> None:
-        """Go back to a saved state, also one of another world with the same config."""
+        """Restore a saved state, which may come from another world with the same config."""
 
     def close(self) -> None:
-        """Free what the world holds."""
+        """Release the world's resources."""

@@ -1,1 +1,1 @@
-"""Training Q-networks: double DQN with hindsight, who pushes and who learns apart."""
+"""Training Q-networks: double DQN with hindsight, with collection separate from learning."""

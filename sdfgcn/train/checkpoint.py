@@ -1,7 +1,7 @@
-"""Checkpoints of a training: one archive, replaced in one step, that holds all that is needed.
+"""Training checkpoints: a single archive, replaced atomically, with everything a resume needs.
 
-Network, target network, optimiser, replay buffer, the state of who pushes and of every random
-generator, counters, and the config that they belong to.
+It holds network, target network, optimiser, replay buffer, the state of the collector and of every
+random generator, counters, and the config that they belong to.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ NAME = "checkpoint.zip"
 
 
 def save_checkpoint(path: Path, parts: Mapping[str, Any], config: Mapping[str, Any]) -> None:
-    """Write a checkpoint; the one before stays until this one is whole.
+    """Write a checkpoint; the previous one is kept until this one is complete.
 
     Args:
         path: The archive.
-        parts: What is kept, by name: things with a `state_dict` or, like replay buffers, `dumps`.
-        config: The config that it belongs to, as JSON knows it.
+        parts: The parts by name: objects with a `state_dict` or, like replay buffers, `dumps`.
+        config: The config that it belongs to, in JSON types.
     """
-    # TorchRL moves the old archive away first: killed just then, there would be none.
+    # TorchRL moves the old archive away first: if killed just then, it would leave none.
     with replaced(path) as part:
-        for left in path.parent.glob(f".{part.name}.*"):  # of a process that was killed
+        for left in path.parent.glob(f".{part.name}.*"):  # left by a killed process
             shutil.rmtree(left) if left.is_dir() else left.unlink()
         _registered(parts).save(part, metadata={"config": config})
 
@@ -39,7 +39,7 @@ def checkpoint_config(path: Path) -> dict[str, Any]:
     """The config that a checkpoint belongs to.
 
     Raises:
-        SdfgcnError: The file is no such checkpoint.
+        SdfgcnError: The file is not a training checkpoint.
     """
     try:
         return dict(Checkpoint.manifest(path)["metadata"]["config"])
@@ -52,22 +52,22 @@ def load_checkpoint(path: Path, parts: Mapping[str, Any]) -> None:
 
     Args:
         path: The archive.
-        parts: As for `save_checkpoint`; not to be used if this raises.
+        parts: As for `save_checkpoint`; unusable if this raises.
 
     Raises:
-        SdfgcnError: The file is damaged, or not of such a training.
+        SdfgcnError: The file is damaged, or has other parts.
     """
     try:
         with zipfile.ZipFile(path) as archive:
             if archive.testzip() is not None:
                 raise CheckpointError("wrong checksum")
         _registered(parts).load(path)
-    except Exception as error:  # whatever a damaged archive makes its readers raise
+    except Exception as error:  # damaged archives raise all kinds of errors
         raise _unreadable(path) from error
 
 
 def _registered(parts: Mapping[str, Any]) -> Checkpoint:
-    # All of them or none: a part that is missing is an error.
+    # A missing part is an error.
     checkpoint = Checkpoint(format="archive", archive_compression="deflate", strict="error")
     for name, part in {**parts, "rng": GlobalRNGState()}.items():
         checkpoint.register(name, part)

@@ -1,4 +1,4 @@
-"""Who pushes while a Q-network learns (`collector=`): TorchRL's collectors around our env."""
+"""Collection of pushes for training (`collector=`): TorchRL's collectors around our env."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from sdfgcn.errors import SdfgcnError
 from sdfgcn.processes import follow_parent
 from sdfgcn.train.curriculum import ObjectCountSampler
 
-IDLE_SECONDS = 0.2  # between two looks at whether the learner may do an update
+IDLE_SECONDS = 0.2  # between checks whether the learner may update
 
 
 class TrainingEnv(RearrangementEnv):
-    """The env with a number of objects drawn anew at every reset."""
+    """The env with the number of objects drawn at every reset."""
 
     def __init__(
         self,
@@ -37,8 +37,8 @@ class TrainingEnv(RearrangementEnv):
         Args:
             config: The training env's config.
             counts: Draws the number of objects.
-            seed: Seed of the episodes' seeds.
-            state: What `save_state` returned: the first reset goes on from there.
+            seed: Seed from which episode seeds are drawn.
+            state: A state from `save_state`, from which the first reset resumes.
         """
         self._counts = counts
         self._state = state
@@ -53,43 +53,43 @@ class TrainingEnv(RearrangementEnv):
 
 
 class PushCollector(Protocol):
-    """What a training needs of whoever pushes."""
+    """The interface between the trainer and a collector."""
 
     def collect(self, meanwhile: Callable[[], bool]) -> TensorDictBase:
-        """The next pushes.
+        """Return the next pushes.
 
         Args:
-            meanwhile: Work to do while they are being collected, if there is time; returns
+            meanwhile: Called repeatedly while waiting for them; does some work and returns
                 whether there was any.
 
         Returns:
             [T] transitions.
 
         Raises:
-            SdfgcnError: A process that pushes died.
+            SdfgcnError: A worker died.
         """
 
     def update_policy_weights(self) -> None:
-        """Push with the policy's weights of now."""
+        """Push with the policy's current weights from now on."""
 
     def state(self) -> dict[str, Any]:
-        """What a checkpoint keeps, as JSON knows it."""
+        """The state for a checkpoint, in JSON types."""
 
     def close(self) -> None:
-        """Free the envs."""
+        """Close the envs."""
 
 
 @dataclass(frozen=True)
 class CollectorSpec:
-    """What a collector is made of.
+    """The arguments for building a collector.
 
     Attributes:
         config: The whole experiment.
         env: The training env's config.
         counts: Draws the number of objects.
         policy: Sets `action`; on the CPU.
-        pushes: Pushes so far; a training that goes on draws other episodes.
-        state: What `PushCollector.state` returned.
+        pushes: Pushes so far, so that a resumed training draws new episodes.
+        state: The checkpoint's `PushCollector.state`, or empty.
     """
 
     config: Config
@@ -101,7 +101,7 @@ class CollectorSpec:
 
 
 class SyncCollector:
-    """One env in this process: pushes and updates take turns."""
+    """One env in this process: pushes and updates alternate."""
 
     def __init__(self, spec: CollectorSpec) -> None:
         """Build the env."""
@@ -112,38 +112,38 @@ class SyncCollector:
             spec.policy,
             frames_per_batch=spec.config.collector.pushes_per_batch,
             total_frames=-1,
-            auto_register_policy_transforms=False,  # it would add one for recurrent policies
+            auto_register_policy_transforms=False,  # would add one for recurrent policies
         )
         self._batches = iter(self._collector)
 
     def collect(self, meanwhile: Callable[[], bool]) -> TensorDictBase:
-        """Push; there is no meanwhile."""
+        """Push; `meanwhile` is not called."""
         return next(self._batches)
 
     def update_policy_weights(self) -> None:
-        """Do nothing: it pushes with the policy itself."""
+        """Do nothing: the collector uses the policy object itself."""
 
     def state(self) -> dict[str, Any]:
         """The env's state."""
         return {"env": self._env.save_state()}
 
     def close(self) -> None:
-        """Free the env."""
+        """Close the env."""
         self._collector.shutdown()
 
 
 class AsyncCollector:
-    """Envs in processes of their own, which push while this one learns."""
+    """Envs in worker processes, which push while this process learns."""
 
     def __init__(self, spec: CollectorSpec) -> None:
-        """Start the processes."""
+        """Start the workers."""
         config = spec.config
         workers = max(config.collector.workers, 1)
         seeds = [_seed(config.seed, worker, spec.pushes) for worker in range(workers)]
         self._collector = MultiAsyncCollector(
             [_env_in_worker] * workers,
             spec.policy,
-            # Not bound to the function: TorchRL would copy what of `counts` is shared.
+            # As kwargs, not functools.partial: TorchRL would copy the shared memory of `counts`.
             create_env_kwargs=[
                 {"config": spec.env, "counts": spec.counts, "seed": seed} for seed in seeds
             ],
@@ -158,7 +158,7 @@ class AsyncCollector:
         self._waiter = ThreadPoolExecutor(1)
 
     def collect(self, meanwhile: Callable[[], bool]) -> TensorDictBase:
-        """Wait for the next pushes of any process, working meanwhile."""
+        """Wait for the next pushes of any worker, calling `meanwhile`."""
         batch = self._waiter.submit(next, self._batches)
         while not batch.done():
             if not meanwhile():
@@ -176,11 +176,11 @@ class AsyncCollector:
         self._collector.update_policy_weights_()
 
     def state(self) -> dict[str, Any]:
-        """Nothing: a training that goes on begins new episodes."""
+        """Empty: a resumed training starts new episodes."""
         return {}
 
     def close(self) -> None:
-        """End the processes."""
+        """Stop the workers."""
         self._waiter.shutdown(wait=False)
         self._collector.shutdown()
 
@@ -196,5 +196,5 @@ def _env_in_worker(config: EnvConfig, counts: ObjectCountSampler, seed: int) -> 
 
 
 def _seed(seed: int, worker: int, pushes: int) -> int:
-    """The seed of a collector's env, other than those of evaluation episodes."""
+    """The seed of a collector's env, distinct from those of evaluation episodes."""
     return int(np.random.SeedSequence(seed, spawn_key=(1, worker, pushes)).generate_state(1)[0])

@@ -1,4 +1,4 @@
-"""How many objects the next training episode has (`curriculum=`; paper section VI C)."""
+"""The number of objects in the next training episode (`curriculum=`; paper section VI C)."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from sdfgcn.config import CurriculumConfig
 
 
 class ObjectCountSampler:
-    """Draws the number of objects of an episode, in whichever process plays it.
+    """Draws the number of objects of an episode, in any process.
 
-    `reached` says how many of the counts are open, in memory that all processes share: the
-    learner opens the next one for all collectors at once.
+    `reached`, the number of open counts, is in memory shared by all processes, so the learner
+    opens the next count for all workers at once.
     """
 
     def __init__(self, curriculum: CurriculumConfig, n_objects: int) -> None:
-        """Open the counts that a training begins with.
+        """Open the counts with which training starts.
 
         Args:
             curriculum: The config.
-            n_objects: The count without a curriculum.
+            n_objects: The count used without a curriculum.
         """
         self.counts = tuple(curriculum.counts) or (n_objects,)
         grows = curriculum.name == "on"
@@ -34,7 +34,7 @@ class ObjectCountSampler:
 
     @property
     def newest(self) -> int:
-        """The largest count that is open."""
+        """The count opened last."""
         return self.counts[int(self.reached) - 1]
 
     def draw(self, rng: np.random.Generator) -> int:
@@ -48,7 +48,7 @@ class ObjectCountSampler:
 
 
 class Curriculum:
-    """Opens the next count once the newest is mastered (the learner's part)."""
+    """Opens the next count once the newest is mastered; runs in the learner's process."""
 
     def __init__(self, config: CurriculumConfig, counts: ObjectCountSampler) -> None:
         self._config = config
@@ -57,17 +57,17 @@ class Curriculum:
 
     @property
     def newest(self) -> int:
-        """The largest number of objects of an episode now."""
+        """The newest number of objects of an episode."""
         return self._counts.newest
 
     def pushed(self, collected: TensorDictBase) -> None:
-        """Take [T] pushes as a collector hands them over."""
+        """Record the episodes that end in [T] pushes from a collector."""
         outcome = collected["next"]
         for i in outcome["done"].squeeze(-1).nonzero().squeeze(-1).tolist():
             self.episode_ended(int(outcome["n_objects"][i]), bool(outcome["success"][i]))
 
     def episode_ended(self, n_objects: int, success: bool) -> None:
-        """Take an episode's end; only those at the newest count tell."""
+        """Record the end of an episode; only those at the newest count matter."""
         counts = self._counts
         if int(counts.reached) == len(counts.counts) or n_objects != counts.newest:
             return
@@ -78,11 +78,11 @@ class Curriculum:
             self._recent.clear()
 
     def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
+        """The state for a checkpoint."""
         return {"reached": int(self._counts.reached), "recent": list(map(int, self._recent))}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what a checkpoint kept."""
+        """Restore the state from a checkpoint."""
         self._counts.reached.fill_(int(state["reached"]))
         self._recent.clear()
         self._recent.extend(bool(int(value)) for value in state["recent"])

@@ -1,4 +1,4 @@
-"""The policy that pushes while a Q-network learns: greedy but for a falling epsilon."""
+"""The policy of training: epsilon-greedy with a falling epsilon."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from sdfgcn.train.learner import q_actor
 
 
 class EpsilonGreedyPolicy:
-    """A copy of the learner's network on the CPU that now and then pushes at random.
+    """An epsilon-greedy policy over a CPU copy of the learner's network.
 
     Attributes:
-        module: Sets `action`; what a collector pushes with.
+        module: Sets `action`; the policy for collectors.
     """
 
     def __init__(
@@ -30,10 +30,10 @@ class EpsilonGreedyPolicy:
         """Copy the network.
 
         Args:
-            network: The learner's.
-            actions: The spec of an action.
-            train: The first and last epsilon.
-            epsilon_pushes: Pushes over which it falls.
+            network: The learner's network.
+            actions: The action spec.
+            train: Holds the first and last epsilon.
+            epsilon_pushes: Pushes over which epsilon falls.
         """
         self._network = copy.deepcopy(network).cpu().requires_grad_(False)
         self._greedy = EGreedyModule(
@@ -47,21 +47,21 @@ class EpsilonGreedyPolicy:
 
     @property
     def epsilon(self) -> float:
-        """The share of random pushes now."""
+        """The current share of random pushes."""
         return float(self._greedy.eps)
 
     def load_weights(self, network: TensorDictModuleBase) -> None:
-        """Take over the learner's weights."""
+        """Copy the learner's weights."""
         self._network.load_state_dict(network.state_dict())
 
     def pushed(self, pushes: int) -> None:
-        """Let epsilon fall by so many pushes."""
+        """Advance the epsilon schedule by `pushes` pushes."""
         self._greedy.step(pushes)
 
     def state_dict(self) -> dict[str, Any]:
-        """Epsilon, for a checkpoint; the weights are the learner's."""
+        """Epsilon, for a checkpoint; the learner saves the weights."""
         return {"epsilon": self.epsilon}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what a checkpoint kept."""
+        """Restore epsilon from a checkpoint."""
         self._greedy.eps.fill_(float(state["epsilon"]))

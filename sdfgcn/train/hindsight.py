@@ -1,8 +1,8 @@
 """Hindsight experience replay (paper section V C; the authors' variant).
 
-A push that moved something was a good push for another goal: the one in which the moved objects
-belong where they ended. It is kept a second time with that goal, and with the reward and the end
-of the episode that follow from it.
+A push that moved objects was a good push for another goal: the one with the moved objects where
+they ended. It is stored a second time with that goal, and with reward, success and done flags
+recomputed for it.
 """
 
 from __future__ import annotations
@@ -21,33 +21,33 @@ from sdfgcn.task.scene import Scene
 
 
 class Hindsight:
-    """Makes the additional transitions of a stream of pushes.
+    """Makes the hindsight transitions of a stream of pushes.
 
-    `next` takes where the objects lie after the push itself, `future` where they lie after a
-    later push of the episode, drawn at random, so it waits for the episode's end.
+    `next` takes goals from the scene after the push itself, `future` from the scene after that or
+    a later push of the episode, drawn at random, so it waits for the end of the episode.
     """
 
     def __init__(self, her: HerConfig, env: EnvConfig) -> None:
-        """Start without an open episode.
+        """Start without unfinished episodes.
 
         Args:
-            her: Which hindsight, and when an object counts as moved.
+            her: The variant, and when an object counts as moved.
             env: Reward and success threshold.
         """
         self._her = her
         self._env = env
-        self._open: dict[int, list[TensorDictBase]] = {}  # by trajectory, for `future`
-        self._carried: list[TensorDictBase] = []  # of the episode that a checkpoint was taken in
+        self._open: dict[int, list[TensorDictBase]] = {}  # unfinished, by trajectory, for `future`
+        self._carried: list[TensorDictBase] = []  # of the checkpoint's unfinished episode
 
     def __call__(self, pushes: TensorDictBase, trajectories: Tensor) -> TensorDictBase | None:
-        """Relabel what can be relabelled now.
+        """Relabel all pushes that can be relabelled now.
 
         Args:
             pushes: [T] transitions as the replay buffer stores them.
-            trajectories: int64 [T] the episode that each belongs to.
+            trajectories: int64 [T] the episode of each transition.
 
         Returns:
-            [R] transitions with other goals; None if there are none.
+            [R] transitions with new goals; None if there are none.
         """
         if self._her.name == "off":
             return None
@@ -76,14 +76,14 @@ class Hindsight:
         return relabelled(pushes, achieved, self._her.min_displacement, self._env)
 
     def dump(self, path: Path) -> None:
-        """Write the episode that is going on, for a checkpoint."""
+        """Write the unfinished episode, for a checkpoint."""
         episode = [*self._carried, *(push for pushes in self._open.values() for push in pushes)]
         if episode:
             stacked: TensorDictBase = torch.stack(episode)  # type: ignore[assignment, arg-type]
             stacked.contiguous().memmap(path / "episode")
 
     def load(self, path: Path) -> None:
-        """Go on with the episode that a checkpoint kept."""
+        """Restore the unfinished episode from a checkpoint."""
         self._open.clear()
         self._carried = []
         if (path / "episode").exists():
@@ -91,30 +91,30 @@ class Hindsight:
             self._carried = list(episode.clone().unbind(0))
 
     def forget_episode(self) -> None:
-        """Drop the episode that a checkpoint kept: the collectors have begun new ones."""
+        """Drop the checkpoint's unfinished episode: the collectors start new ones."""
         self._carried = []
 
 
 def relabelled(
     pushes: TensorDictBase, achieved: TensorDictBase, min_displacement: float, env: EnvConfig
 ) -> TensorDictBase | None:
-    """Pushes with the goals of the moved objects where they lie in other scenes.
+    """Relabel pushes with the positions of the moved objects in other scenes as goals.
 
     Args:
         pushes: [T] transitions.
-        achieved: [T] the observation for each push that shows where its objects were to go.
-        min_displacement: An object counts as moved when the push displaced it further, metres.
+        achieved: [T] for each push, the observation from which the new goals are taken.
+        min_displacement: Displacement above which an object counts as moved, metres.
         env: Reward and success threshold.
 
     Returns:
-        [R] those that moved a matched object, with goal, reward and ends replaced; None if there
-        are none. Where an object vanished or came back, positions do not tell the reward: such
-        pushes are left out.
+        [R] the pushes that moved a matched object, with goal, reward, success and done flags
+        replaced; None if there are none. Pushes after which an object vanished or reappeared are
+        left out, as positions do not determine their reward.
     """
     scene, outcome = pushes["scene"], pushes["next", "scene"]
     offsets = outcome.position - scene.position
     rows = offsets.norm(dim=-1) > min_displacement
-    for moment in (pushes, pushes["next"], achieved):  # else a row may show another object there
+    for moment in (pushes, pushes["next"], achieved):  # else the row may show another object there
         rows &= moment["matched"]
     some = rows.any(dim=-1) & (scene.node_mask == outcome.node_mask).all(dim=-1)
     if not some.any():
@@ -126,10 +126,10 @@ def relabelled(
 
 
 def _with_ends(pushes: TensorDictBase, env: EnvConfig) -> TensorDictBase:
-    """Work out reward, success and the episode's end anew; in place.
+    """Recompute reward, success and done flags, in place.
 
-    As `sdfgcn.envs.standing` does without truth: an object of the goal that is not matched is not
-    at its goal, and only matched rows tell of progress.
+    As in `seen_standing`, an unmatched goal object counts as not at its goal, and only matched rows
+    count towards progress.
     """
     outcome, goal = pushes["next"], pushes["goal"]
     before = _distances(pushes["scene"], goal, pushes["matched"])
@@ -162,7 +162,7 @@ def _with_ends(pushes: TensorDictBase, env: EnvConfig) -> TensorDictBase:
 
 
 def _distances(scene: Scene, goal: Scene, matched: Tensor) -> np.ndarray:
-    """[T, N] metres from each row to its goal; NaN where it is not matched."""
+    """[T, N] distance of each row to its goal, metres; NaN for unmatched rows."""
     distances = (scene.position - goal.position).norm(dim=-1).double()
     return torch.where(matched, distances, torch.nan).numpy()
 

@@ -18,12 +18,12 @@ from torchrl.objectives import DQNLoss, HardUpdate
 from sdfgcn.config import TrainConfig, lookup
 
 PRECISIONS = {"float32": None, "bfloat16": torch.bfloat16}
-TRIALS = 2  # updates that are timed for each precision
-TRIAL_BATCH = 4  # transitions in each
+TRIALS = 2  # timed updates per precision
+TRIAL_BATCH = 4  # transitions per timed update
 
 
 class Learner:
-    """Holds everything that an update changes."""
+    """Holds everything that an update changes: networks, averaged weights and optimiser."""
 
     def __init__(
         self, network: TensorDictModuleBase, actions: Categorical, train: TrainConfig, device: str
@@ -31,14 +31,14 @@ class Learner:
         """Wrap a Q-network for learning.
 
         Args:
-            network: Sets `action_value` [*B, N * D]; it is trained in place.
-            actions: The spec of an action.
-            train: The learning's numbers.
+            network: Sets `action_value` [*B, N * D]; trained in place.
+            actions: The action spec.
+            train: The hyperparameters.
             device: Where to compute.
         """
         self._train = train
         self._device = torch.device(device)
-        # A third less time an update on a CPU, and nothing else changes.
+        # Saves a third of an update's time on a CPU, and changes nothing else.
         self.network = network.to(self._device).to(memory_format=torch.channels_last)
         self.precision: str | None = None  # chosen before the first update
         self._loss = DQNLoss(
@@ -55,7 +55,7 @@ class Learner:
             self._loss, value_network_update_interval=train.target_interval - 1
         )
         self._optimiser = torch.optim.Adam(self._loss.parameters(), lr=train.learning_rate)
-        # Single updates change what a greedy policy does; their average is steadier.
+        # The greedy policy fluctuates from update to update; that of averaged weights is steadier.
         self._average = AveragedModel(
             self.network, multi_avg_fn=get_ema_multi_avg_fn(train.ema_decay)
         )
@@ -65,7 +65,7 @@ class Learner:
         """Learn from [B] transitions.
 
         Returns:
-            Figures by name: `loss`.
+            Metrics by name: `loss`.
         """
         batch = batch.to(self._device)
         loss = self._loss_of(batch)
@@ -80,21 +80,21 @@ class Learner:
 
     @property
     def averaged(self) -> TensorDictModuleBase:
-        """The network with the weights' exponential moving average over updates; a CPU copy."""
+        """A CPU copy of the network with the exponential moving average of its weights."""
         return copy.deepcopy(self._average.module).cpu()
 
     def choose_precision(self, wanted: str, batch: TensorDictBase) -> str:
-        """Set the precision; `auto` times both on copies of this learner and takes the faster.
+        """Set the precision; `auto` times both on copies of this learner and picks the faster.
 
         Args:
             wanted: "float32", "bfloat16" or "auto".
-            batch: [B] transitions to try.
+            batch: [B] transitions for the timing.
 
         Returns:
-            The one that was taken.
+            The chosen precision.
         """
         if wanted == "auto":
-            # A few transitions are enough, and where bfloat16 is slow, it is slow indeed.
+            # A few transitions are enough; where bfloat16 is slow, it is very slow.
             wanted = min(PRECISIONS, key=lambda name: self._seconds(name, batch[:TRIAL_BATCH]))
         lookup(PRECISIONS, "runtime.precision", wanted)
         self.precision = wanted
@@ -103,7 +103,7 @@ class Learner:
     def _seconds(self, precision: str, batch: TensorDictBase) -> float:
         trial = copy.deepcopy(self)
         trial.precision = precision
-        trial.update(batch)  # the first allocates
+        trial.update(batch)  # warm-up: the first update allocates
         clock = time.perf_counter()
         for _ in range(TRIALS):
             trial.update(batch)
@@ -116,7 +116,7 @@ class Learner:
             return self._loss(batch)["loss"]
 
     def state_dict(self) -> dict[str, Any]:
-        """Network, its average, target network, optimiser and counters, for a checkpoint."""
+        """Network, averaged weights, target network, optimiser and counter, for a checkpoint."""
         return {
             "loss": self._loss.state_dict(),
             "average": self._average.state_dict(),
@@ -126,7 +126,7 @@ class Learner:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what a checkpoint kept."""
+        """Restore the state from a checkpoint."""
         self._loss.load_state_dict(state["loss"])
         self._average.load_state_dict(state["average"])
         self._optimiser.load_state_dict(state["optimiser"])
@@ -136,7 +136,7 @@ class Learner:
 
 
 def q_actor(network: TensorDictModuleBase, actions: Categorical) -> QValueActor:
-    """A network as a greedy policy over the legal actions."""
+    """Wrap a network as a greedy policy over legal actions."""
     return QValueActor(
         module=network,
         spec=actions,

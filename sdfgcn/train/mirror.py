@@ -1,8 +1,8 @@
 """The mirror symmetry of the table (`augment=mirror`).
 
-The camera stands in the plane x = 0 and every region is symmetric to it. So a transition mirrored
-at that plane is one that could have happened. It is exact but for fast marching, which breaks ties
-in the order of the pixels: an SDF of the mirrored mask differs by up to 0.3 pixels.
+The camera is in the plane x = 0 and every region is symmetric about it, so a transition mirrored in
+that plane is also possible. Mirroring is exact except for fast marching, which breaks ties by pixel
+order: the SDF of a mirrored mask differs from the mirrored SDF by up to 0.3 pixels.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ def mirrored(transition: TensorDictBase, push_space: PushSpace) -> TensorDictBas
     """Mirror transitions or observations from left to right.
 
     Args:
-        transition: Any batch shape: an observation, with or without `action` and "next". Left as
-            it is.
-        push_space: Says what becomes of an action.
+        transition: Of any batch shape: an observation, with or without `action` and "next". Not
+            modified.
+        push_space: Mirrors actions.
     """
     result = transition.copy()
     for key, value in transition.items():
@@ -37,21 +37,21 @@ def mirrored(transition: TensorDictBase, push_space: PushSpace) -> TensorDictBas
 
 
 class MirrorTransform(Transform):
-    """Mirrors each sampled transition with some probability."""
+    """Mirrors each sampled transition with a given probability."""
 
     def __init__(self, probability: float, push_space: PushSpace) -> None:
         """Make the transform.
 
         Args:
-            probability: Of each transition, drawn from torch's generator like the sample itself.
-            push_space: Says what becomes of an action.
+            probability: Per transition; drawn from torch's generator, like the sample itself.
+            push_space: Mirrors actions.
         """
         super().__init__()
         self._probability = probability
         self._push_space = push_space
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Mirror some of the [B] transitions."""
+        """Mirror a random subset of the [B] transitions."""
         chosen = torch.rand(tensordict.batch_size) < self._probability
         result = tensordict.clone()
         if chosen.any():

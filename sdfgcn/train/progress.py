@@ -1,4 +1,4 @@
-"""How a training is going: one live line, `train.csv`, and the run's logger."""
+"""Reports of training progress: a live line, `train.csv` and the run's logger."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tqdm import tqdm
 from sdfgcn.files import CsvTable
 from sdfgcn.loggers import Logger
 
-WINDOW = 100  # episodes, or updates, over which figures are averaged
+WINDOW = 100  # episodes or updates over which metrics are averaged
 
 COLUMNS = (
     *("pushes", "updates", "episodes", "seconds", "pushes_per_s", "updates_per_s"),
@@ -25,43 +25,43 @@ _AVERAGED = ("success_rate", "out_of_range_rate", "episode_pushes", "return", "l
 
 
 class Progress:
-    """Counts pushes and episodes, averages recent figures, and shows and logs them."""
+    """Counts pushes and episodes, averages recent metrics, and shows and logs them."""
 
     def __init__(self, folder: Path, logger: Logger, log_pushes: int) -> None:
         """Start all counters at zero.
 
         Args:
             folder: The run folder.
-            logger: Gets each row of `train.csv` too; its step is the number of pushes.
-            log_pushes: Pushes between two rows.
+            logger: Also receives each row of `train.csv`; its step is the number of pushes.
+            log_pushes: Pushes between rows.
         """
         self.pushes = self.episodes = 0
-        self._earlier_s = 0.0  # spent before the checkpoint that this training goes on from
+        self._earlier_s = 0.0  # training time before the checkpoint resumed from
         self._began = time.monotonic()
         self._table = CsvTable(folder / "train.csv", COLUMNS)
         self._logger = logger
         self._log_pushes = log_pushes
         self._recent = {name: deque[float](maxlen=WINDOW) for name in _AVERAGED}
-        self._return: dict[int, float] = {}  # return so far of unfinished episodes, by trajectory
-        self._carried = 0.0  # return so far of the episode that goes on from a checkpoint
-        self._last_row = (self._began, 0, 0)  # its time, pushes and updates
+        self._return: dict[int, float] = {}  # of unfinished episodes so far, by trajectory
+        self._carried = 0.0  # return so far of the checkpoint's unfinished episode
+        self._last_row = (self._began, 0, 0)  # time, pushes and updates at the last row
 
     @property
     def seconds(self) -> float:
-        """Wall seconds of training, including those before a checkpoint."""
+        """Wall-clock seconds of training, including time before a restart."""
         return self._earlier_s + time.monotonic() - self._began
 
     def open(self, updates: int, total: int, minutes: float | None = None) -> None:
-        """Show the live line, and drop the rows of `train.csv` that will be written again.
+        """Show the live line, and drop rows of `train.csv` that will be written again.
 
         Args:
             updates: Updates so far.
-            total: Pushes at which the training ends; the line shows the time left to them.
-            minutes: Minutes at which the training ends if that is sooner; shown as well.
+            total: Pushes after which training ends; the line shows the time left until then.
+            minutes: Minutes after which training ends if that is sooner; also shown.
         """
         self._minutes = minutes
         self._table.keep(lambda row: int(row["pushes"]) <= self.pushes)
-        self._began = time.monotonic()  # leaves out the time that building all parts took
+        self._began = time.monotonic()  # excludes the time taken to build the parts
         self._last_row = (self._began, self.pushes, updates)
         self._bar = tqdm(total=total, initial=self.pushes, unit="push", disable=None)
 
@@ -70,11 +70,11 @@ class Progress:
         self._bar.close()
 
     def updated(self, figures: dict[str, float]) -> None:
-        """Take the figures of one update."""
+        """Record the metrics of one update."""
         self._recent["loss"].append(figures["loss"])
 
     def pushed(self, collected: TensorDictBase) -> None:
-        """Count [T] pushes from a collector, and the episodes that end with them."""
+        """Count [T] pushes from a collector, and the episodes that they end."""
         outcome = collected["next"]
         done = outcome["done"].squeeze(-1).tolist()
         rewards = outcome["reward"].squeeze(-1).tolist()
@@ -97,8 +97,8 @@ class Progress:
 
         Args:
             updates: Updates so far.
-            epsilon: Share of random pushes now.
-            n_objects: The most objects in a training episode now.
+            epsilon: Current share of random pushes.
+            n_objects: Current largest number of objects in a training episode.
         """
         now, (then, last_pushes, last_updates) = time.monotonic(), self._last_row
         took = max(now - then, 1e-9)
@@ -131,7 +131,7 @@ class Progress:
             self._last_row = (time.monotonic(), self.pushes, updates)
 
     def state_dict(self) -> dict[str, Any]:
-        """What a checkpoint keeps."""
+        """The state for a checkpoint."""
         return {
             "counters": [self.pushes, self.episodes],
             "seconds": self.seconds,
@@ -140,7 +140,7 @@ class Progress:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on from what a checkpoint kept."""
+        """Restore the state from a checkpoint."""
         self.pushes, self.episodes = (int(count) for count in state["counters"])
         self._earlier_s = float(state["seconds"])
         for name, values in self._recent.items():
@@ -149,7 +149,7 @@ class Progress:
         self._carried = float(state["running"])
 
     def forget_episode(self) -> None:
-        """Forget the unfinished episode of the checkpoint: the collectors begin new ones."""
+        """Drop the checkpoint's unfinished episode: the collectors start new ones."""
         self._carried = 0.0
 
 

@@ -1,7 +1,7 @@
-"""The replay buffer: transitions with masks packed to bits, and SDFs when they are sampled.
+"""The replay buffer: transitions are stored with masks packed into bits and sampled with SDFs.
 
-An SDF of 96 x 96 pixels takes 37 kB, its mask 1.2 kB; and the goal is the same before and after
-a push. So a buffer of 20,000 transitions of three objects takes 200 MB instead of 7 GB, and a few
+An SDF of 96 x 96 pixels takes 37 kB, its mask 1.2 kB, and the goal is the same before and after a
+push. So a buffer of 20,000 transitions of three objects takes 200 MB instead of 7 GB, and a few
 megabytes in a compressed checkpoint.
 """
 
@@ -24,7 +24,7 @@ from sdfgcn.train.mirror import MirrorTransform
 
 
 class Replay:
-    """What has been seen: `stored` makes transitions of pushes, `extend` keeps, `sample` draws."""
+    """The buffer: `stored` converts pushes to transitions, `extend` adds them, `sample` draws."""
 
     def __init__(self, config: Config) -> None:
         """Make an empty buffer with the transforms that the config asks for."""
@@ -46,14 +46,14 @@ class Replay:
             self.buffer.append_transform(MirrorTransform(config.augment.probability, push_space))
 
     def __len__(self) -> int:
-        """How many transitions it holds."""
+        """The number of transitions held."""
         return len(self.buffer)
 
     def stored(self, collected: TensorDictBase) -> TensorDictBase:
-        """What is kept of [T] pushes as a collector hands them over.
+        """Convert [T] pushes from a collector to the form in which they are stored.
 
-        Observation, action and outcome, with the masks' bits in place of SDFs; the next
-        observation's goal is left out, for it is the same.
+        Observation, action and outcome, with mask bits instead of SDFs; the next observation's
+        goal is dropped, as it is the same.
         """
         outcome = collected["next"].exclude("goal")
         kept = collected.select(*collected["next"].keys(), "action", strict=False)
@@ -62,17 +62,17 @@ class Replay:
         )
 
     def extend(self, transitions: TensorDictBase | None) -> None:
-        """Keep what `stored` returned, or other transitions like it."""
+        """Add transitions in the form that `stored` returns; None adds nothing."""
         if transitions is not None:
             self.buffer.extend(transitions)
 
     def sample(self) -> TensorDictBase:
-        """Draw a batch [B] that a DQN loss understands."""
+        """Draw a batch [B] in the form that the DQN loss expects."""
         return self.buffer.sample()
 
 
 class _Unpack(Transform):
-    """Restores SDFs from bits, and copies the goal into "next", where the loss looks for it."""
+    """Restores SDFs from bits, and copies the goal to "next", where the loss expects it."""
 
     def __init__(self, sdf: SdfTransform) -> None:
         super().__init__()
@@ -87,7 +87,7 @@ class _Unpack(Transform):
 def _scenes_changed(
     transitions: TensorDictBase, change: Callable[[Scene], Scene]
 ) -> TensorDictBase:
-    """A copy in which every scene, wherever it stands, is changed."""
+    """A copy with `change` applied to every scene, at any depth."""
     result = transitions.copy()
     for key, value in transitions.items():
         if isinstance(value, Scene):
@@ -98,7 +98,7 @@ def _scenes_changed(
 
 
 class _Filled:
-    """Lets a checkpoint hold the filled part of a buffer alone."""
+    """Save and load hooks that keep only the filled part of a buffer in a checkpoint."""
 
     def __init__(self, replay: ReplayBuffer) -> None:
         self._replay = replay

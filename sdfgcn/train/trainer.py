@@ -1,4 +1,4 @@
-"""The loop of a training: push, remember, learn, tell, evaluate, and keep a checkpoint."""
+"""The training loop: collect, store, learn, report, evaluate and checkpoint."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from sdfgcn.train.replay import Replay
 
 @dataclass(frozen=True)
 class TrainingState:
-    """All that a checkpoint keeps, but for where the collector is.
+    """All that a checkpoint holds except the collector's state.
 
     Attributes:
         learner: Network, target network and optimiser.
         policy: Picks the pushes.
-        replay: What has been seen.
+        replay: The replay buffer.
         hindsight: Makes transitions with other goals.
-        curriculum: How many objects there are.
-        progress: Counters and recent figures.
+        curriculum: Sets the number of objects.
+        progress: Counters and recent metrics.
     """
 
     learner: Learner
@@ -46,7 +46,7 @@ class TrainingState:
     progress: Progress
 
     def parts(self, collector: dict[str, Any]) -> dict[str, Any]:
-        """The parts of a checkpoint by name, with the collector's state as it is or is to be."""
+        """The parts of a checkpoint by name; `collector` is saved, or filled when loading."""
         return {
             "learner": self.learner,
             "policy": self.policy,
@@ -71,16 +71,16 @@ class Trainer:
         learning_config: dict[str, Any],
         keep_network: Callable[[QNetwork], None],
     ) -> None:
-        """Take the parts.
+        """Take the parts of the training.
 
         Args:
             config: The whole experiment.
-            state: What is learned, and from what.
-            collector: Pushes.
+            state: Everything that training changes.
+            collector: Collects pushes.
             curve: Evaluates on held-out scenes.
             checkpoint: The archive to write.
-            learning_config: What of the config a checkpoint belongs to.
-            keep_network: Takes the network with each checkpoint.
+            learning_config: The config values that identify the training.
+            keep_network: Called with the network at each checkpoint.
         """
         self._config = config
         self._state = state
@@ -95,7 +95,7 @@ class Trainer:
         self._saved = time.monotonic()
 
     def run(self) -> None:
-        """Train to the end of the budget."""
+        """Train until the budget is spent."""
         budget = self._config.budget
         self._progress.open(self._learner.updates, budget.pushes, budget.minutes)
         while not self._finished():
@@ -111,11 +111,11 @@ class Trainer:
 
     @property
     def averaged(self) -> QNetwork:
-        """The network with the average of its weights over the last updates, on the CPU."""
+        """A CPU copy of the network with averaged weights."""
         return cast(QNetwork, self._learner.averaged)
 
     def close(self) -> None:
-        """End the collector and the live line."""
+        """Close the live line and the collector."""
         self._progress.close()
         self._collector.close()
 
@@ -125,7 +125,7 @@ class Trainer:
         return late or self._progress.pushes >= budget.pushes
 
     def _remember(self, collected: TensorDictBase) -> None:
-        """Take [T] pushes into the replay buffer, once as they were and once in hindsight."""
+        """Store [T] pushes in the replay buffer, with their hindsight copies."""
         self._progress.pushed(collected)
         self._policy.pushed(len(collected))
         self._curriculum.pushed(collected)
@@ -134,7 +134,7 @@ class Trainer:
         self._replay.extend(self._hindsight(transitions, collected["collector", "traj_ids"]))
 
     def _learn(self) -> None:
-        """Do the updates that are due, and hand the weights to the collector."""
+        """Do the updates that are due, and pass the weights to the collector."""
         while self._learner.updates < self._due(self._config.train.utd_ratio):
             self._update()
         self._policy.load_weights(self._learner.network)
@@ -145,7 +145,7 @@ class Trainer:
         return int(utd_ratio * max(late, 0))
 
     def _update_within_limit(self) -> bool:
-        """Update if the pushes so far allow another; return whether they do."""
+        """Do one update if `max_utd_ratio` allows it; return whether it did."""
         if self._learner.updates >= self._due(self._config.train.max_utd_ratio):
             return False
         self._update()
@@ -158,7 +158,7 @@ class Trainer:
         self._progress.updated(self._learner.update(batch))
 
     def _choose_precision(self, batch: TensorDictBase) -> None:
-        """Choose it once a run folder: what is faster today may not be tomorrow."""
+        """Choose it once per run folder: a resume must not pick another by timing again."""
         wanted, kept = self._config.runtime.precision, self._checkpoint.with_name("precision.json")
         if wanted == "auto" and kept.exists():
             wanted = json.loads(kept.read_text(encoding="utf-8"))["precision"]

@@ -1,4 +1,4 @@
-"""From a config to a trained network: what a training is made of, and what it belongs to."""
+"""From a config to a trained network: builds a training, or resumes it from a checkpoint."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from sdfgcn.train.progress import Progress
 from sdfgcn.train.replay import Replay
 from sdfgcn.train.trainer import Trainer, TrainingState
 
-# Builds a network from the whole config and the number of rows that it is trained with.
+# Builds a network from the whole config and the number of rows that it is trained on.
 BuildNetwork = Callable[[Config, int], QNetwork]
-# Takes the network, on the CPU, whenever there is a new checkpoint.
+# Called with the network, on the CPU, at each checkpoint.
 KeepNetwork = Callable[[QNetwork], None]
 
-# Parts of the config that change what is learned; the rest may differ when a training goes on.
+# Parts of the config that affect what is learned; the rest may change on a resume.
 _LEARNING = ("seed", "n_objects", "model", "train", "curriculum", "her", "augment")
 _FREE = tuple(
     f"train.{key}"
@@ -56,25 +56,25 @@ def train(
     keep_network: KeepNetwork = lambda network: None,
     evaluate: Evaluate | None = None,
 ) -> QNetwork:
-    """Train a Q-network; where the folder holds a checkpoint, go on from it.
+    """Train a Q-network; resume if the folder holds a checkpoint.
 
-    Torch's own random state is left as it was.
+    Torch's global random state is left unchanged.
 
     Args:
         config: The whole experiment.
-        folder: The run folder; gets `train.csv` and the checkpoint.
-        logger: Takes running figures.
-        build_network: Makes the network before its first update.
-        keep_network: Takes the network, as it is returned, with each checkpoint.
+        folder: The run folder, for `train.csv` and the checkpoint.
+        logger: Receives running metrics.
+        build_network: Builds the untrained network.
+        keep_network: Called with the network, as returned, at each checkpoint.
         evaluate: Plays held-out episodes every `train.eval_pushes`.
 
     Returns:
-        The trained network, with the average of its weights over the last updates, on the CPU.
+        The trained network with averaged weights, on the CPU.
 
     Raises:
-        SdfgcnError: The checkpoint is damaged or of another experiment.
+        SdfgcnError: The checkpoint is damaged or belongs to another training.
     """
-    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every storage it makes
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it reports every storage it creates
     threads = torch.get_num_threads()
     with torch.random.fork_rng():
         torch.set_num_threads(config.runtime.torch_threads)
@@ -94,21 +94,20 @@ def train_policy(
 ) -> None:
     """Train the Q-network that the config names, and write it as a policy.
 
-    The policy is there from the first checkpoint on; until the training has ended, its `budget`
-    is null.
+    The policy is written from the first checkpoint on; its `budget` is null until training ends.
 
     Args:
         config: The whole experiment.
         folder: The run folder.
-        policy: Where the policy goes.
-        logger: Takes running figures.
+        policy: The folder for the policy.
+        logger: Receives running metrics.
         evaluate: Plays held-out episodes every `train.eval_pushes`.
 
     Raises:
         SdfgcnError: See `train`.
     """
     env = config.train.env
-    load_catalogue(env.objects, env.split)  # before processes that push would each do it
+    load_catalogue(env.objects, env.split)  # once, before each worker would do it
     about = {"seed": config.seed, "training": learning_config(config)}
 
     def keep(network: QNetwork, budget: dict[str, Any] | None) -> None:
@@ -134,7 +133,7 @@ def build_trainer(
     keep_network: KeepNetwork,
     evaluate: Evaluate | None,
 ) -> Trainer:
-    """Put the parts of a training together, as the folder's checkpoint left them; see `train`."""
+    """Build the parts of a training, and restore the folder's checkpoint, if any; see `train`."""
     counts = ObjectCountSampler(config.curriculum, config.n_objects)
     env = training_env(config, counts)
     actions = PushSpace(env.push, env.arena).spec(env.max_objects)
@@ -150,7 +149,7 @@ def build_trainer(
     collector_state = _restored(state, folder / NAME, config)
     curve = HeldOutCurve(folder, logger, config.train.eval_pushes, evaluate)
     curve.go_on_from(state.progress.pushes)
-    with torch.random.fork_rng():  # else a training that goes on would draw other numbers
+    with torch.random.fork_rng():  # otherwise a resumed training would draw other numbers
         pushes = state.progress.pushes
         collector = build_collector(
             CollectorSpec(config, env, counts, state.policy.module, pushes, collector_state)
@@ -160,7 +159,7 @@ def build_trainer(
 
 
 def _restored(state: TrainingState, checkpoint: Path, config: Config) -> dict[str, Any]:
-    """Load the checkpoint, if there is one; returns the collector's state."""
+    """Load the checkpoint, if there is one; return the collector's state."""
     collector: dict[str, Any] = {}
     if checkpoint.exists():
         check_same_learning(checkpoint, config)
@@ -173,11 +172,11 @@ def _restored(state: TrainingState, checkpoint: Path, config: Config) -> dict[st
 
 
 def training_env(config: Config, counts: ObjectCountSampler) -> EnvConfig:
-    """The training env with as many rows as are needed, where the network allows any number.
+    """The training env's config, with no more rows than needed if the network allows it.
 
     Args:
         config: The whole experiment.
-        counts: The numbers of objects.
+        counts: Holds the numbers of objects.
     """
     env, most = config.train.env, max(counts.counts)
     fixed = q_networks()[config.model.name].fixed_rows
@@ -185,7 +184,7 @@ def training_env(config: Config, counts: ObjectCountSampler) -> EnvConfig:
 
 
 def learning_config(config: Config) -> dict[str, Any]:
-    """What of a config changes what is learned, flat, as JSON knows it."""
+    """The config values that affect what is learned, flat and in JSON types."""
     values = {part: value for part, value in asdict(config).items() if part in _LEARNING}
     return {key: value for key, value in flat(values).items() if not key.startswith(_FREE)}
 
@@ -194,7 +193,7 @@ def check_same_learning(path: Path, config: Config) -> None:
     """Check that a checkpoint belongs to a config.
 
     Raises:
-        SdfgcnError: It does not; names the keys that differ.
+        SdfgcnError: It belongs to another; names the keys that differ.
     """
     told = differences(checkpoint_config(path), learning_config(config))
     if told:
