@@ -34,6 +34,7 @@ from sdfgcn.config import (
     WorldConfig,
     lookup,
 )
+from sdfgcn.errors import SdfgcnError
 
 PLUGINS = "sdfgcn.components"  # the group of entry points
 
@@ -119,7 +120,14 @@ class Registry(Mapping[str, Any]):
                 for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
                     importlib.import_module(module.name)
         for plugin in plugins():
-            importlib.import_module(plugin.module)
+            try:
+                importlib.import_module(plugin.module)
+            except Exception as error:  # whatever another package's code raises
+                raise SdfgcnError(
+                    f"The components of the entry point '{plugin.name}' ({plugin.module}) cannot "
+                    f"be imported ({type(error).__name__}: {error}); repair that package or "
+                    "uninstall it."
+                ) from error
 
 
 @functools.cache

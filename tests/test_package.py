@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import zipfile
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import hydra
@@ -13,6 +14,8 @@ from hydra.core.global_hydra import GlobalHydra
 from omegaconf import DictConfig
 
 import sdfgcn
+from sdfgcn import registry
+from sdfgcn.errors import SdfgcnError
 
 ROOT = Path(__file__).parents[1]
 
@@ -142,3 +145,11 @@ def test_components_of_another_package(tmp_path: Path) -> None:
     assert third == "There is no key 'model.depht'; did you mean model.depth?"
     (models,) = (line for line in shown if line.startswith("model: "))
     assert "toy" in models.removeprefix("model: ").split(", ")
+
+
+def test_a_package_that_cannot_be_imported_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    broken = EntryPoint("toys", "no_such_package.toys", registry.PLUGINS)
+    monkeypatch.setattr(registry, "plugins", lambda: (broken,))
+    told = r"entry point 'toys' \(no_such_package\.toys\) cannot be imported \(ModuleNotFoundError"
+    with pytest.raises(SdfgcnError, match=told):
+        registry.ROBOTS.find("gripper")
