@@ -13,6 +13,7 @@ import logging
 import os
 import re
 import sys
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TextIO
@@ -28,6 +29,7 @@ from omegaconf import DictConfig
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from sdfgcn.compose import component_dirs, conf_dir, register_search_path
+from sdfgcn.config import Config
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.report import text
 from sdfgcn.experiment import run_experiment
@@ -53,10 +55,21 @@ def run(cfg: DictConfig) -> float:
     """Evaluate the configured model and print its row; return the success rate for a sweeper."""
     job = HydraConfig.get()
     with RunFolder(Path(job.runtime.output_dir), cfg, job.overrides.task) as folder:
-        check_opengl()
-        results = run_experiment(typed(cfg), folder)
+        results = run_experiment(_checked(cfg), folder)
     print(f"{text(results)}\nRun folder: {folder.path}")
     return results["success_rate"]
+
+
+def _checked(cfg: DictConfig) -> Config:
+    """The typed config, where MuJoCo can render: checking it imports MuJoCo."""
+    try:
+        with warnings.catch_warnings(action="ignore"):  # such as GLFW's, of a missing display
+            config = typed(cfg)
+    except (AttributeError, ImportError, RuntimeError):  # of MuJoCo without OpenGL
+        check_opengl()
+        raise
+    check_opengl()
+    return config
 
 
 def run_plainly(main: Callable[[], Any]) -> None:
