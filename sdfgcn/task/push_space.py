@@ -81,10 +81,6 @@ class PushSpace:
         """The row and the direction of an action."""
         return divmod(action, self.n_directions)
 
-    def degrees(self, direction: int) -> float:
-        """The heading of a direction, degrees counter-clockwise from the x axis."""
-        return 360.0 * direction / self.n_directions
-
     def spec(self, rows: int) -> Categorical:
         """The action spec for `rows` rows."""
         return Categorical(rows * self.n_directions, shape=(), dtype=torch.int64)
