@@ -10,7 +10,7 @@ from sdfgcn.task.camera import camera_model
 # Geom groups determine what a picture shows; switching them costs nothing.
 GROUP_SCENE = 0  # visible props: in every picture
 GROUP_TABLE = 1  # the table: in RGB pictures
-GROUP_ROBOT = 2  # the robot's visual geoms (as set by the Menagerie models)
+# Group 2 holds the visual geoms of the Menagerie models; no picture shows them.
 GROUP_COLLISION = 3  # convex pieces: never drawn
 GROUP_PARKED = 4  # props not in this episode: never drawn
 
