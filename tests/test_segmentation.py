@@ -20,7 +20,7 @@ from sdfgcn.segmentation import dataset, training
 from sdfgcn.segmentation.loss import clustering_loss
 from sdfgcn.segmentation.metrics import match_masks, score_masks
 from sdfgcn.segmentation.scores import Example, shifted_look, summary, views
-from sdfgcn.segmentation.train import load_config
+from sdfgcn.segmentation.train import load_config, main
 from sdfgcn.sim.arena import Table
 from sdfgcn.sim.renderer import Renderer
 
@@ -334,3 +334,11 @@ def test_training_pictures_are_labelled_and_a_damaged_shard_is_named(tmp_path: P
 def test_a_bad_training_config_is_a_sentence(override: str, message: str) -> None:
     with pytest.raises(SdfgcnError, match=message):
         training_config(override)
+
+
+def test_help_shows_every_key_with_its_comment(capsys) -> None:
+    assert main(["--help"]) == 0
+    told = capsys.readouterr().out
+    assert "KEY=VALUE" in told
+    assert "learning_rate: 2.0e-3 # " in told
+    assert "appearances: 5 # " in told

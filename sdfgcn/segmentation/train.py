@@ -13,12 +13,14 @@ import torch
 from hydra.errors import HydraException
 from omegaconf.errors import OmegaConfBaseException
 
-from sdfgcn.compose import compose_config
+from sdfgcn.compose import compose_config, conf_dir
 from sdfgcn.config import SegmentationTrainingConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.opengl import check_opengl
 from sdfgcn.segmentation.training import train
 from sdfgcn.validation import typed_segmentation_training
+
+CONFIG = "train_segmentation"  # in conf/
 
 
 def load_config(*overrides: str) -> SegmentationTrainingConfig:
@@ -29,11 +31,14 @@ def load_config(*overrides: str) -> SegmentationTrainingConfig:
         HydraException: An override cannot be parsed, or names an unknown key or option.
         OmegaConfBaseException: A value is missing or of the wrong type.
     """
-    return typed_segmentation_training(compose_config(overrides, "train_segmentation"))
+    return typed_segmentation_training(compose_config(overrides, CONFIG))
 
 
 def main(arguments: list[str]) -> int:
     """Run the command line; return the exit code."""
+    if {"-h", "--help"} & set(arguments):
+        print(f"{__doc__}\n{(conf_dir() / CONFIG).with_suffix('.yaml').read_text()}")
+        return 0
     try:
         check_opengl()
         config = load_config(*arguments)
