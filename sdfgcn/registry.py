@@ -57,7 +57,7 @@ class Registry(Mapping[str, Any]):
         self.group = path.rpartition(".")[2]
         self.path = path
         self._modules = modules.split()
-        self._base = base
+        self.base = base
         self._builders: dict[str, Any] = {}
         self._configs: dict[str, type[ComponentConfig]] = {}
 
@@ -77,7 +77,7 @@ class Registry(Mapping[str, Any]):
                 if name in self._builders:
                     raise ValueError(f"{self.group}={name} is registered twice")
                 self._builders[name] = builder
-                self._configs[name] = config or self._base
+                self._configs[name] = config or self.base
             return builder
 
         return decorate

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import copy
+import functools
+from dataclasses import fields, replace
 from typing import Any, TypeVar
 
 from omegaconf import DictConfig, OmegaConf
@@ -25,9 +27,31 @@ def typed(cfg: DictConfig) -> Config:
     values: dict[str, Any] = OmegaConf.to_container(cfg, resolve=True)  # type: ignore[assignment]
     train = values["train"]
     train["env"] = _with_changes(values["env"], train.get("env", {}))
+    _check_without_components(values)
     config = _structured(Config, values)
     validate(config)
     return config
+
+
+def _check_without_components(values: dict[str, Any]) -> None:
+    """Check types and ranges of what all components of a group share.
+
+    Components bring torch and MuJoCo, which take seconds to import; most mistakes need neither.
+    """
+    plain = copy.deepcopy(values)
+    for registry in REGISTRIES:
+        *parents, last = registry.path.split(".")
+        node = functools.reduce(dict.__getitem__, parents, plain)
+        if not isinstance(node[last], dict):
+            raise SdfgcnError(
+                f"{registry.path} is '{node[last]}', but holds the keys of a component; pick one "
+                f"with {registry.group}=... instead."
+            )
+        shared = {field.name for field in fields(registry.base)}
+        node[last] = {key: value for key, value in node[last].items() if key in shared}
+    plain["train"]["env"] = plain["env"]
+    schema = OmegaConf.structured(Config)
+    check_ranges(OmegaConf.to_object(OmegaConf.merge(schema, plain)))
 
 
 def typed_segmentation_training(cfg: DictConfig) -> SegmentationTrainingConfig:

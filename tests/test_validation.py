@@ -2,6 +2,8 @@
 
 import copy
 import math
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 from operator import attrgetter
@@ -35,6 +37,11 @@ def refusal(*overrides: str) -> str:
             "There is no key 'env.robot.stiffness'; it belongs to another option of its group.",
         ),
         ("env.robot.name=claw", "env.robot.name is 'claw', but must be one of gripper, ur5e."),
+        (
+            "env.robot=gripper",
+            "env.robot is 'gripper', but holds the keys of a component; pick one with robot=... "
+            "instead.",
+        ),
         ("seed=${gone}", "seed: Interpolation key 'gone' not found."),
     ],
 )
@@ -205,3 +212,19 @@ def test_every_number_is_finite_and_in_its_range(overrides: tuple[str, ...]) -> 
         for sentence in told:
             assert sentence.startswith(f"{key} is ")
             assert " must " in sentence
+
+
+def test_most_mistakes_are_told_before_anything_heavy_is_imported() -> None:
+    code = """
+import sys
+import sdfgcn
+for override in ("eval.epsilon=2", "env.push.speed=-1", "n_objects=three"):
+    try:
+        sdfgcn.load_config(override)
+    except Exception as error:
+        print(type(error).__name__)
+print({"torch", "mujoco"} & set(sys.modules))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    lines = done.stdout.splitlines()
+    assert lines == ["SdfgcnError", "SdfgcnError", "ValidationError", "set()"], done.stderr
