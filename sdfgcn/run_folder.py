@@ -26,7 +26,7 @@ from sdfgcn.evaluation.episodes import EpisodeResult, EpisodeTable
 from sdfgcn.files import write_json, write_text
 
 # Keys that change how a run is executed or shown, but not its episodes.
-_FREE_KEYS = ("runtime.", "viz.", "logger.", "eval.name", "eval.episodes")
+_FREE_KEYS = ("runtime.", "viz.", "logger.", "experiment.", "eval.name", "eval.episodes")
 
 
 class RunFolder:
@@ -154,6 +154,18 @@ class RunFolder:
     def _write_status(self, **news: Any) -> None:
         self._status |= {**news, "episodes": self._n_episodes, "wall_s": self.wall_s}
         write_json(self.path / "status.json", self._status)
+
+
+def is_done(path: Path, cfg: DictConfig) -> bool:
+    """Whether a folder holds the results of just this run, with all its episodes."""
+    status, results, kept = (path / name for name in ("status.json", "results.json", "config.yaml"))
+    if not (status.exists() and results.exists() and kept.exists()):
+        return False
+    state = json.loads(status.read_text(encoding="utf-8"))
+    if state.get("state") != "done" or state.get("episodes") != cfg.eval.episodes:
+        return False
+    now = OmegaConf.create(OmegaConf.to_yaml(cfg, resolve=True))
+    return _binding(OmegaConf.load(kept)) == _binding(now)
 
 
 def _binding(cfg: Any) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from sdfgcn.config.base import (
     ranged,
     vector,
 )
+from sdfgcn.config.comparison import ComparisonConfig, MethodConfig
 from sdfgcn.config.env import (
     ArenaConfig,
     EncoderConfig,

@@ -140,7 +140,7 @@ class PushConfig:
         lambda value: value >= 4 and value % 2 == 0, "must be an even number from 4 on"
     )
     length: float = positive()
-    touch: bool = MISSING
+    length_from: str = one_of("start", "surface", "touch")
     clearance: float = at_least(0)
     search_step: float = positive()
     height: float = at_least(0)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from omegaconf import MISSING
 
 from sdfgcn.config.base import SPLITS, ComponentConfig, at_least, fraction, one_of, ranged
+from sdfgcn.config.comparison import ComparisonConfig
 from sdfgcn.config.env import EnvConfig
 from sdfgcn.config.model import ModelConfig
 from sdfgcn.config.train import (
@@ -63,6 +64,7 @@ class Config:
     seed: int = at_least(0)
     n_objects: int = MISSING
     checkpoint: str | None = None
+    experiment: ComparisonConfig = field(default_factory=ComparisonConfig)
     env: EnvConfig = field(default_factory=EnvConfig)
     model: ModelConfig = field(default_factory=ModelConfig)
     train: TrainConfig = field(default_factory=TrainConfig)

@@ -12,12 +12,19 @@ from sdfgcn.config.env import EnvConfig, ObjectsConfig
 
 @dataclass
 class BudgetConfig:
-    """How long a Q-network is trained (`conf/budget/`)."""
+    """How long a Q-network is trained (`conf/budget/`).
+
+    Attributes:
+        seeds: Training seeds of an experiment: 0 and up.
+        evaluation: Overrides of every evaluation of an experiment.
+    """
 
     name: str = MISSING
     pushes: int = at_least(1)
     minutes: float | None = at_least(0, default=None)
     epsilon_pushes: int = at_least(1)
+    seeds: int = at_least(1)
+    evaluation: list[str] = field(default_factory=list)
 
 
 @dataclass

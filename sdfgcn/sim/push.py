@@ -59,7 +59,7 @@ class PushPrimitive:
         if not self._free(physics, descent) or not self._descend(physics, descent):
             self._robot.place(physics, self._robot.home)
             return PushResult("blocked", start, start)
-        reached, touched = self._push(physics, push, command.free + config.length)
+        reached, touched = self._push(physics, push, command.free)
         self._lift(physics, yaw, push, reached)
         return PushResult("done" if touched else "no_contact", start, push.at(reached)[0])
 
@@ -91,14 +91,19 @@ class PushPrimitive:
         """Whether a prop is in contact with the robot."""
         return bool(data.ncon) and bool(self._robot.owns_geom[data.contact.geom].any())
 
-    def _push(self, physics: mjcf.Physics, path: _Path, expected: float) -> tuple[float, bool]:
-        """Push `length` past the first touch, or `expected` metres; return (reached, touched)."""
+    def _push(self, physics: mjcf.Physics, path: _Path, free: float) -> tuple[float, bool]:
+        """Push by `length`, counted from where `length_from` says; return (reached, touched).
+
+        Without a touch, a length that counts from there counts from the surface in the picture,
+        `free` metres ahead.
+        """
         config = self._config
+        expected = config.length + (0.0 if config.length_from == "start" else free)
         reached, touched = self._follow(
             physics, path, config.speed, until=expected, until_touch=True
         )
         if touched:
-            stop = reached + config.length if config.touch else expected
+            stop = reached + config.length if config.length_from == "touch" else expected
             reached, _ = self._follow(
                 physics,
                 path,
