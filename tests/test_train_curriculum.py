@@ -35,24 +35,41 @@ def test_on_grows_with_success_at_the_newest_count() -> None:
     counts = ObjectCountSampler(config, 3)
     curriculum = Curriculum(config, counts)
     assert drawn(counts) == {2: 1.0}
-    for _ in range(49):
+    for _ in range(99):
         curriculum.episode_ended(2, True)
     assert counts.newest == 2
     curriculum.episode_ended(2, True)
     assert counts.newest == 3
     assert drawn(counts) == pytest.approx({2: 0.5, 3: 0.5}, abs=0.05)
-    for _ in range(50):
+    for _ in range(100):
         curriculum.episode_ended(2, True)  # not the newest
     assert counts.newest == 3
-    for i in range(50):
-        curriculum.episode_ended(3, i % 5 > 0)  # 80% is not above 80%
+    # Wilson's one-sided 90% bound (z = 1.2816) of 85 in 100 is 0.7986, that of 86 is 0.8097.
+    for i in range(100):
+        curriculum.episode_ended(3, i >= 15)
     assert counts.newest == 3
     curriculum.episode_ended(3, True)  # the oldest, a failure, leaves the window
     assert counts.newest == 4
     assert drawn(counts) == pytest.approx({2: 0.25, 3: 0.25, 4: 0.5}, abs=0.05)
-    for _ in range(60):
+    for _ in range(120):
         curriculum.episode_ended(4, True)
     assert counts.newest == 4
+
+
+def test_chance_rarely_opens_the_next_count() -> None:
+    """At a true rate of 75%, in 20 trainings of 400 episodes; a bare mean of 50 opens it in most."""
+    rng = np.random.default_rng(0)
+    opened = Counter()
+    for overrides in ((), ("curriculum.confidence=0.5", "curriculum.window=50")):
+        config = real_config("model=sdfgcn", "curriculum=on", *overrides).curriculum
+        for _ in range(20):
+            counts = ObjectCountSampler(config, 3)
+            curriculum = Curriculum(config, counts)
+            for success in rng.random(400) < 0.75:
+                curriculum.episode_ended(2, bool(success))
+            opened[overrides] += counts.newest > 2
+    assert opened[()] <= 4
+    assert opened["curriculum.confidence=0.5", "curriculum.window=50"] >= 10
 
 
 def test_an_episode_counts_by_the_objects_on_the_table(toys_of: Envs) -> None:
@@ -69,7 +86,8 @@ def test_an_episode_counts_by_the_objects_on_the_table(toys_of: Envs) -> None:
 
 
 def test_only_ends_of_episodes_count() -> None:
-    config = real_config("model=sdfgcn", "curriculum=on", "curriculum.window=2").curriculum
+    overrides = ("curriculum=on", "curriculum.window=2", "curriculum.confidence=0.5")
+    config = real_config("model=sdfgcn", *overrides).curriculum
     counts = ObjectCountSampler(config, 3)
     curriculum = Curriculum(config, counts)
     outcome = {
@@ -88,7 +106,7 @@ def test_goes_on_from_its_state() -> None:
     config = real_config("model=sdfgcn", "curriculum=on").curriculum
     before, after = (ObjectCountSampler(config, 3) for _ in range(2))
     first, second = Curriculum(config, before), Curriculum(config, after)
-    for _ in range(99):
+    for _ in range(199):
         first.episode_ended(before.newest, True)
     second.load_state_dict(first.state_dict())
     assert after.newest == before.newest == 3

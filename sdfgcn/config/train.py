@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 from omegaconf import MISSING
 
-from sdfgcn.config.base import at_least, below_one, fraction, interval, one_of, positive
+from sdfgcn.config.base import at_least, below_one, fraction, interval, one_of, positive, ranged
 from sdfgcn.config.env import EnvConfig, ObjectsConfig
 
 
@@ -44,6 +44,9 @@ class CurriculumConfig:
     counts: list[int] = field(default_factory=list)
     window: int = at_least(0, default=0)
     success_threshold: float = fraction(default=0.0)
+    confidence: float = ranged(
+        lambda value: 0.5 <= value < 1.0, "must be at least 0.5 and below 1", default=0.5
+    )
     newest_share: float = fraction(default=0.0)
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy.stats import binomtest
 from tensordict import TensorDictBase
 from torch import Tensor
 
@@ -72,10 +73,20 @@ class Curriculum:
         if int(counts.reached) == len(counts.counts) or n_objects != counts.newest:
             return
         self._recent.append(success)
-        full = len(self._recent) == self._config.window
-        if full and np.mean(self._recent) > self._config.success_threshold:
+        if len(self._recent) == self._config.window and self._mastered():
             counts.reached += 1
             self._recent.clear()
+
+    def _mastered(self) -> bool:
+        """Whether the newest count's success rate is above the threshold, and not by chance.
+
+        The last episodes are a moving sample: sooner or later, their mean exceeds a threshold that
+        the true rate stays below. So it is Wilson's one-sided lower bound that has to exceed it.
+        """
+        config = self._config
+        successes = binomtest(sum(self._recent), len(self._recent))
+        bound = successes.proportion_ci(2.0 * config.confidence - 1.0, method="wilson").low
+        return bool(bound > config.success_threshold)
 
     def state_dict(self) -> dict[str, Any]:
         """The state for a checkpoint."""
