@@ -9,7 +9,6 @@ from typing import Any
 
 from sdfgcn.compose import load_config
 from sdfgcn.config import Config
-from sdfgcn.evaluation.results import git_state, versions
 from sdfgcn.files import write_json
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -36,11 +35,6 @@ def parse(arguments: Sequence[str], own: dict[str, int]) -> tuple[dict[str, int]
 def file_name(experiment: str, parts: Sequence[str], usual: Collection[str]) -> str:
     """Name a result after its unusual options, so that none overwrites another."""
     return "_".join([experiment, *(part for part in parts if part not in usual)])
-
-
-def provenance() -> dict[str, Any]:
-    """The package versions and the commit behind a result."""
-    return {"versions": versions(), "git": git_state(ROOT)}
 
 
 def save(name: str, result: dict[str, Any]) -> None:

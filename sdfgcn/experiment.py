@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import closing
-from dataclasses import asdict, replace
+from dataclasses import replace
 from typing import Any
 
 from sdfgcn.config import Config, QNetworkConfig
@@ -49,18 +49,17 @@ def with_policy(config: Config, folder: RunFolder, logger: Logger) -> Config:
     Raises:
         SdfgcnError: The given checkpoint is not a policy; or see `sdfgcn.train.training.train`.
     """
-    from sdfgcn.agents.policy import ABOUT, RELEASED, find_policy, read_about  # loads torch
+    from sdfgcn.agents.policy import RELEASED, find_policy  # loads torch
 
     if config.checkpoint is not None:
         found = find_policy(config.checkpoint)
         if found.parent == RELEASED:  # its name is more telling than its installed path
             return config
         return replace(config, checkpoint=str(found))
-    policy = folder.path / "policy"
-    budget = asdict(config.budget)
-    if not (policy / ABOUT).exists() or read_about(policy)["budget"] != budget:
-        from sdfgcn.train.training import train_policy
+    from sdfgcn.train.training import is_trained, train_policy
 
+    policy = folder.path / "policy"
+    if not is_trained(config, policy):
         with closing(HeldOutEvaluation(config)) as held_out:
             train_policy(config, folder.path, policy, logger, held_out)
     return replace(config, checkpoint=str(policy))

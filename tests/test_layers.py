@@ -19,7 +19,7 @@ FILES = sorted((ROOT / "sdfgcn").rglob("*.py"))
 LAYERS = (
     ("errors",),
     ("config",),
-    ("files", "opengl", "processes"),
+    ("files", "opengl", "processes", "provenance"),
     ("registry",),
     ("validation",),
     ("compose",),
@@ -34,6 +34,7 @@ LAYERS = (
     ("evaluation",),
     ("run_folder",),
     ("experiment",),
+    ("comparison",),
     ("cli",),
 )
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}

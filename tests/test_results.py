@@ -11,8 +11,9 @@ from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.episodes import COLUMNS, EpisodeResult, EpisodeTable
 from sdfgcn.evaluation.paper import paper_figure
 from sdfgcn.evaluation.report import decimal, percent, text
-from sdfgcn.evaluation.results import git_state, mean, summarise, t_interval, wilson
+from sdfgcn.evaluation.results import mean, summarise, t_interval, wilson
 from sdfgcn.files import write_json
+from sdfgcn.provenance import git_state
 from sdfgcn.run_folder import RunFolder
 
 

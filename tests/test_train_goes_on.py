@@ -51,7 +51,7 @@ def weights_of(folder: Path, pushes: int, *overrides: str, **options: object) ->
 def trainer_of(config: Config, folder: Path, build: BuildNetwork = small_network) -> Trainer:
     logger = NoLogger(config.logger, folder)
     torch.manual_seed(config.seed)
-    return build_trainer(config, folder, logger, build, lambda network: None, None)
+    return build_trainer(config, folder, logger, build, lambda network, spent: None, None)
 
 
 def same(there: Weights, here: Weights) -> bool:

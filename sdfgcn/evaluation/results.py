@@ -2,30 +2,12 @@
 
 from __future__ import annotations
 
-import platform
-import subprocess
 from collections.abc import Sequence
-from importlib import metadata
-from pathlib import Path
 from typing import Any
 
 from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.evaluation.episodes import EpisodeResult
-
-# Packages that a result depends on.
-_PACKAGES = (
-    "sdfgcn",
-    "mujoco",
-    "dm-control",
-    "torch",
-    "torchrl",
-    "tensordict",
-    "numpy",
-    "scipy",
-    "scikit-fmm",
-    "hydra-core",
-)
-_ROOT = Path(__file__).resolve().parents[2]
+from sdfgcn.provenance import provenance
 
 
 def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) -> dict[str, Any]:
@@ -61,8 +43,7 @@ def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) 
         "out_of_range_rate": mean([float(episode.out_of_range) for episode in episodes]),
         "truncated_rate": mean([float(episode.truncated) for episode in episodes]),
         "episode_seeds": [episode.seed for episode in episodes],
-        "versions": versions(),
-        "git": git_state(_ROOT),
+        **provenance(),
         "wall_s": wall_s,
     }
 
@@ -104,37 +85,3 @@ def t_interval(values: Sequence[float]) -> tuple[float, float] | None:
     middle = sum(values) / len(values)
     half = float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
     return middle - half, middle + half
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of Python and of the packages that a result depends on."""
-    found = {"python": platform.python_version()}
-    for package in _PACKAGES:
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:  # run from the source tree, not installed
-            continue
-    return found
-
-
-def git_state(root: Path) -> dict[str, Any] | None:
-    """Return the commit of a source tree, and whether its files differ from it.
-
-    Returns:
-        `commit` and `dirty`, or None if `root` is not the top of a git checkout.
-    """
-    top = _git(root, "rev-parse", "--show-toplevel")
-    commit = _git(root, "rev-parse", "HEAD")
-    if top is None or commit is None or Path(top) != root:
-        return None
-    return {"commit": commit, "dirty": bool(_git(root, "status", "--porcelain"))}
-
-
-def _git(root: Path, *arguments: str) -> str | None:
-    try:
-        done = subprocess.run(
-            ["git", "-C", str(root), *arguments], capture_output=True, text=True, check=True
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return None
-    return done.stdout.strip()

@@ -24,6 +24,11 @@ from sdfgcn.train.learner import Learner
 from sdfgcn.train.progress import Progress
 from sdfgcn.train.replay import Replay
 
+# What a training has taken so far: `pushes`, `updates` and `hours`.
+Spent = dict[str, float]
+# Called with the network with averaged weights, on the CPU, and what it took.
+KeepNetwork = Callable[[QNetwork, Spent], None]
+
 
 @dataclass(frozen=True)
 class TrainingState:
@@ -69,7 +74,7 @@ class Trainer:
         curve: HeldOutCurve,
         checkpoint: Path,
         learning_config: dict[str, Any],
-        keep_network: Callable[[QNetwork], None],
+        keep_network: KeepNetwork,
     ) -> None:
         """Take the parts of the training.
 
@@ -169,5 +174,12 @@ class Trainer:
     def _save(self) -> None:
         parts = self._state.parts(self._collector.state())
         save_checkpoint(self._checkpoint, parts, self._learning_config)
-        self._keep_network(self.averaged)
+        self._keep_network(self.averaged, self._spent())
         self._saved = time.monotonic()
+
+    def _spent(self) -> Spent:
+        return {
+            "pushes": self._progress.pushes,
+            "updates": self._learner.updates,
+            "hours": round(self._progress.seconds / 3600.0, 3),
+        }

@@ -6,13 +6,12 @@ import logging
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import asdict, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import torch
 
-from sdfgcn.agents.policy import save_policy
+from sdfgcn.agents.policy import ABOUT, read_about, save_policy
 from sdfgcn.config import Config, EnvConfig
 from sdfgcn.config.diff import differences, flat
 from sdfgcn.errors import SdfgcnError
@@ -20,6 +19,7 @@ from sdfgcn.loggers import Logger
 from sdfgcn.models import build_q_network, q_networks
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.objects.catalogue import load_catalogue
+from sdfgcn.provenance import provenance
 from sdfgcn.task.push_space import PushSpace
 from sdfgcn.train.checkpoint import NAME, checkpoint_config, load_checkpoint
 from sdfgcn.train.collectors import CollectorSpec, build_collector
@@ -30,12 +30,10 @@ from sdfgcn.train.hindsight import Hindsight
 from sdfgcn.train.learner import Learner
 from sdfgcn.train.progress import Progress
 from sdfgcn.train.replay import Replay
-from sdfgcn.train.trainer import Trainer, TrainingState
+from sdfgcn.train.trainer import KeepNetwork, Spent, Trainer, TrainingState
 
 # Builds a network from the whole config and the number of rows that it is trained on.
 BuildNetwork = Callable[[Config, int], QNetwork]
-# Called with the network, on the CPU, at each checkpoint.
-KeepNetwork = Callable[[QNetwork], None]
 
 # Parts of the config that affect what is learned; the rest may change on a resume.
 _LEARNING = ("seed", "n_objects", "model", "train", "curriculum", "her", "augment")
@@ -53,7 +51,7 @@ def train(
     folder: Path,
     logger: Logger,
     build_network: BuildNetwork,
-    keep_network: KeepNetwork = lambda network: None,
+    keep_network: KeepNetwork = lambda network, spent: None,
     evaluate: Evaluate | None = None,
 ) -> QNetwork:
     """Train a Q-network; resume if the folder holds a checkpoint.
@@ -65,7 +63,7 @@ def train(
         folder: The run folder, for `train.csv` and the checkpoint.
         logger: Receives running metrics.
         build_network: Builds the untrained network.
-        keep_network: Called with the network, as returned, at each checkpoint.
+        keep_network: Called with the network, as returned, at each checkpoint and at the end.
         evaluate: Plays held-out episodes every `train.eval_pushes`.
 
     Returns:
@@ -108,13 +106,40 @@ def train_policy(
     """
     env = config.train.env
     load_catalogue(env.objects, env.split)  # once, before each worker would do it
-    about = {"seed": config.seed, "training": learning_config(config)}
+    kept: list[tuple[QNetwork, Spent]] = []
 
-    def keep(network: QNetwork, budget: dict[str, Any] | None) -> None:
-        save_policy(policy, network, {"budget": budget, **about})
+    def keep(network: QNetwork, spent: Spent, budget: dict[str, Any] | None = None) -> None:
+        about = {"budget": budget, "spent": spent, "seed": config.seed, **provenance()}
+        save_policy(policy, network, {**about, "training": learning_config(config)})
+        kept[:] = [(network, spent)]
 
-    network = train(config, folder, logger, q_network, partial(keep, budget=None), evaluate)
-    keep(network, asdict(config.budget))
+    train(config, folder, logger, q_network, keep, evaluate)
+    keep(*kept[0], training_budget(config))
+
+
+def training_budget(config: Config) -> dict[str, Any]:
+    """The part of the budget on which a training's result depends."""
+    budget = config.budget
+    return {key: getattr(budget, key) for key in ("pushes", "minutes", "epsilon_pushes")}
+
+
+def is_trained(config: Config, policy: Path) -> bool:
+    """Whether a folder holds the policy of just this training.
+
+    Raises:
+        SdfgcnError: It holds that of another training, of the same budget.
+    """
+    if not (policy / ABOUT).exists():
+        return False
+    about = read_about(policy)
+    if about["budget"] != training_budget(config):
+        return False  # not finished, or to be continued
+    if told := differences(about["training"], learning_config(config)):
+        raise SdfgcnError(
+            f"{policy} is of another training, which differs in {told}; use the same values or "
+            "another folder."
+        )
+    return True
 
 
 def q_network(config: Config, rows: int) -> QNetwork:
