@@ -113,22 +113,43 @@ def test_a_batch_equals_one_by_one(batch: tuple[int, ...], edges: str) -> None:
     assert torch.equal(together, torch.stack([normalised(masks, edges) for masks in one_by_one]))
 
 
+def nodes_in_order(masks: tuple[Tensor, Tensor, Tensor], layer: int, edges: str) -> list[list[int]]:
+    """By graph, the nodes that go into a layer of two: from the definition, by following edges."""
+    matrix = adjacency_matrix(*masks, edges) + torch.eye(2 * masks[0].shape[-1])
+    asked = torch.cat([masks[0], torch.zeros_like(masks[0])], dim=-1).float()
+    needed = (torch.linalg.matrix_power(matrix, 2 - layer) @ asked.unsqueeze(-1)).squeeze(-1)
+    return [row.nonzero().flatten().tolist() for row in needed]
+
+
 @pytest.mark.parametrize("edges", EDGES)
 @pytest.mark.parametrize("count", [None, 3])
-def test_mixing_the_occupied_nodes_is_the_padded_product(count: int | None, edges: str) -> None:
-    """Graphs of different sizes are padded again to be multiplied, those of one size are not."""
+def test_mixing_the_nodes_is_the_padded_product(count: int | None, edges: str) -> None:
+    """Of any layer's nodes, in graphs of different sizes or of one size."""
     td = random_observation(2, 4, (6,), count, size=2)
     scene, goal, matched = td["scene"], td["goal"], td["matched"]
-    nodes = OccupiedNodes(scene, goal, matched, edges)
-    mask = torch.cat([scene.node_mask, goal.node_mask], dim=-1)
-    rows = nodes.gather(scene.center, goal.center)
-    assert torch.equal(rows, torch.cat([scene.center, goal.center], dim=1)[mask])
-    assert torch.equal(nodes.is_goal, (torch.arange(8) >= 4).expand(6, 8)[mask])
-    matrix = normalised((scene.node_mask, goal.node_mask, matched), edges)
-    padded = torch.zeros(6, 8, 2)
-    padded[mask] = rows
-    torch.testing.assert_close(nodes.mix(rows, own=True), (matrix @ padded)[mask])
+    masks = scene.node_mask, goal.node_mask, matched
+    nodes = OccupiedNodes(*(scene, goal, matched), edges, n_layers=2)
+    padded = torch.cat([scene.center, goal.center], dim=1)
+    matrix = normalised(masks, edges)
     diagonal = matrix.diagonal(dim1=1, dim2=2)
-    torch.testing.assert_close(nodes.own_share(), diagonal[mask])
     others = matrix - torch.diag_embed(diagonal)
-    torch.testing.assert_close(nodes.mix(rows, own=False), (others @ padded)[mask])
+    inside = [nodes_in_order(masks, layer, edges) for layer in range(3)]
+    rows = torch.cat(nodes.gather(scene.center, goal.center))
+    assert by_value(rows) == by_value(chosen(padded, inside[0]))
+    for hop, computed in zip(nodes.hops, inside[1:], strict=True):
+        for own, product in ((True, matrix @ padded), (False, others @ padded)):
+            assert by_value(hop.mix(rows, own)) == by_value(chosen(product, computed))
+        rows = hop.own(rows)
+        assert by_value(rows) == by_value(chosen(padded, computed))
+        shares = chosen(diagonal.unsqueeze(-1) * padded, computed)
+        assert by_value(hop.own_share.unsqueeze(-1) * rows) == by_value(shares)
+
+
+def chosen(padded: Tensor, nodes: list[list[int]]) -> Tensor:
+    """The rows [M, F] of a padded [B, V, F] at the nodes of each graph."""
+    return torch.cat([graph[which] for graph, which in zip(padded, nodes, strict=True)])
+
+
+def by_value(rows: Tensor) -> list[tuple[float, ...]]:
+    """Rows in an order that does not depend on that of the nodes."""
+    return sorted(tuple(round(value, 5) + 0.0 for value in row) for row in rows.tolist())

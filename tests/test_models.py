@@ -336,8 +336,7 @@ def pair_of_two() -> tuple[Scene, Scene, Tensor]:
 def test_propagation_by_hand(
     weight: float, own_weight: float | None, expected: list[float]
 ) -> None:
-    nodes = OccupiedNodes(*pair_of_two(), "complete")
-    assert nodes.is_goal.tolist() == [False, False, True]
+    every, current = OccupiedNodes(*pair_of_two(), "complete", 2).hops
     propagation = "shared" if own_weight is None else "split"
     layer = Propagation(lambda bias: nn.Conv2d(1, 1, 1, bias=bias), propagation)
     with torch.no_grad():
@@ -346,22 +345,23 @@ def test_propagation_by_hand(
         if own_weight is not None:
             layer.own_weights.weight.fill_(own_weight)
     rows = torch.tensor([12.0, 6.0, -18.0]).reshape(3, 1, 1, 1)
-    torch.testing.assert_close(layer(rows, nodes).flatten(), torch.tensor(expected))
-    current = layer(rows, nodes, current_only=True)
-    torch.testing.assert_close(current.flatten(), torch.tensor(expected[:2]))
+    torch.testing.assert_close(layer(rows, every).flatten(), torch.tensor(expected))
+    torch.testing.assert_close(layer(rows, current).flatten(), torch.tensor(expected[:2]))
 
 
 def test_split_with_equal_weights_is_shared() -> None:
     td = random_observation(12, 4, (5,))
-    nodes = OccupiedNodes(td["scene"], td["goal"], td["matched"], "complete")
+    nodes = OccupiedNodes(td["scene"], td["goal"], td["matched"], "complete", 1)
+    (hop,) = nodes.hops
     split, shared = (
         Propagation(lambda bias: nn.Conv2d(2, 2, 3, padding=1, bias=bias), propagation)
         for propagation in PROPAGATIONS
     )
     split.weights.load_state_dict(shared.weights.state_dict())
     split.own_weights.weight = shared.weights.weight
-    rows = torch.randn(len(nodes.is_goal), 2, 6, 6, generator=torch.Generator().manual_seed(0))
-    torch.testing.assert_close(split(rows, nodes), shared(rows, nodes))
+    n_nodes = sum(map(len, nodes.gather(td["scene"].sdf, td["goal"].sdf)))
+    rows = torch.randn(n_nodes, 2, 6, 6, generator=torch.Generator().manual_seed(0))
+    torch.testing.assert_close(split(rows, hop), shared(rows, hop))
 
 
 # ------------------------------------------------------------------ configs

@@ -7,6 +7,9 @@ occupied nodes only: empty ones cost nothing, and the content of their rows has 
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import pairwise
+
 import torch
 from torch import Tensor
 
@@ -67,44 +70,134 @@ def _distinct_pairs(node_mask: Tensor) -> Tensor:
 
 
 class OccupiedNodes:
-    """The M occupied nodes of B graphs as flat rows, and their propagation along edges.
+    """The nodes that the asked values depend on, as flat rows, and their edges layer by layer.
 
-    The nodes are ordered by graph; within a graph, the current scene's come before the goal's.
+    A layer moves features by one edge. So the last one only has to compute the asked nodes, the
+    one before it these and their neighbours, and so on down to the input. All is exact: what is
+    left out has no path to an asked value.
+
+    The M nodes of the input are the current scenes' before the goals', each ordered by graph.
 
     Attributes:
-        is_goal: bool [M], the scene label.
-        is_current: bool [M], the negation of `is_goal`.
+        hops: The edges of each layer, from the first to the last.
     """
 
-    def __init__(self, scene: Scene, goal: Scene, matched: Tensor, edges: str):
-        """Build the graphs of scenes [B] and goals [B]; for the rest see `adjacency_matrix`."""
+    def __init__(
+        self,
+        scene: Scene,
+        goal: Scene,
+        matched: Tensor,
+        edges: str,
+        n_layers: int,
+        asked: Tensor | None = None,
+    ):
+        """Build the graphs of scenes [B] and goals [B].
+
+        Args:
+            scene: Current scenes [B].
+            goal: Goal scenes [B].
+            matched: See `adjacency_matrix`.
+            edges: See `adjacency_matrix`.
+            n_layers: The number of propagation layers.
+            asked: bool [B, N] the rows of the current scene that the last layer has to compute;
+                all by default. Rows without an object are never computed.
+        """
         here, there = scene.node_mask, goal.node_mask
-        mask = torch.cat([here, there], dim=-1)
-        n_nodes = mask.sum(dim=-1)
-        # All graphs are cut to the largest number of nodes of any: occupied ones first, in order.
-        self._width = int(n_nodes.max()) if len(mask) else 0
-        order = mask.int().argsort(dim=-1, descending=True, stable=True)[:, : self._width]
-        matrix = normalise(adjacency_matrix(here, there, matched, edges), mask)
+        asked = here if asked is None else asked & here
+        adjacency = adjacency_matrix(here, there, matched, edges)
+        matrix = normalise(adjacency, torch.cat([here, there], dim=-1))
+        uses = _uses(adjacency, torch.cat([asked, torch.zeros_like(there)], dim=-1), n_layers)
+        # In this order, every layer's nodes are the first ones of each graph.
+        order = uses.argsort(dim=-1, descending=True, stable=True)
+        uses, n = uses.gather(1, order), here.shape[-1]
+        source = _Level(uses > 0, late=order >= n)
+        levels = [source, *(_Level(uses > layer) for layer in range(1, n_layers + 1))]
+        order = order[:, : source.width]
         matrix = matrix.gather(1, order.unsqueeze(-1).expand(-1, -1, matrix.shape[-1]))
-        self._matrix = matrix.gather(2, order.unsqueeze(1).expand(-1, self._width, -1))
-        kept = mask.gather(1, order)
-        self._kept = None if bool(kept.all()) else kept  # None: all of [B, width] are occupied
-        self._shape = kept.shape
-        self.is_goal = (order >= here.shape[-1])[kept]
-        self.is_current = ~self.is_goal
-        self._here, self._there = here, there
+        matrix = matrix.gather(2, order.unsqueeze(1).expand(-1, source.width, -1))
+        self.hops = [Hop(matrix, *pair) for pair in pairwise(levels)]
+        node = source.flat(order)
+        place = source.graph * n + node % n  # of each node in [B * N] rows of its scene
+        self._here, self._there = place[node < n], place[node >= n]
 
-    def gather(self, current: Tensor, goal: Tensor) -> Tensor:
-        """Copy the occupied nodes' features [M, ...] from padded ones [B, N, ...]."""
-        rows = current.new_empty(len(self.is_goal), *current.shape[2:])
-        rows[self.is_current] = current[self._here]
-        rows[self.is_goal] = goal[self._there]
-        return rows
+    def gather(self, current: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
+        """Copy the input's features [M_current, ...], [M_goal, ...] from padded ones [B, N, ...].
 
-    def own_share(self) -> Tensor:
-        """[M] the diagonal of D^-1/2 (A + I) D^-1/2: the weight of each node's own features."""
-        share = self._matrix.diagonal(dim1=1, dim2=2)
-        return share.flatten() if self._kept is None else share[self._kept]
+        Concatenated, they are the M nodes in order.
+        """
+        return current.flatten(0, 1)[self._here], goal.flatten(0, 1)[self._there]
+
+
+def _uses(adjacency: Tensor, asked: Tensor, n_layers: int) -> Tensor:
+    """How many of the layers' inputs and outputs each node has to be in, int [B, V].
+
+    Asked nodes [B, V] are in all n_layers + 1, their neighbours in all but the last, and so on.
+    """
+    uses = asked.int()
+    for _ in range(n_layers):
+        asked = asked | ((adjacency > 0) & asked.unsqueeze(-2)).any(dim=-1)
+        uses = uses + asked
+    return uses
+
+
+class _Level:
+    """The nodes that go into or come out of a layer, as flat rows.
+
+    Attributes:
+        width: The largest number of nodes of any graph.
+        count: The number of nodes of all graphs.
+        graph: int64 [count] the graph of each node.
+    """
+
+    def __init__(self, chosen: Tensor, late: Tensor | None = None):
+        """Take the nodes `chosen`, bool [B, V], by graph, but `late` ones, bool [B, V], at the end.
+
+        The chosen ones come first in each graph.
+        """
+        self.width = int(chosen.sum(dim=-1).amax()) if len(chosen) else 0
+        self._shape = len(chosen), self.width
+        chosen = chosen[:, : self.width].flatten()
+        place = chosen.nonzero().squeeze(-1)
+        if late is not None:
+            at_end = late[:, : self.width].flatten()[place]
+            place = torch.cat([place[~at_end], place[at_end]])
+        self.count = len(place)
+        self.graph = place // max(self.width, 1)
+        # None: as many nodes in every graph, in order.
+        self._place = place if late is not None or self.count < len(chosen) else None
+
+    def flat(self, padded: Tensor) -> Tensor:
+        """[count, ...] of at least [B, width, ...]."""
+        rows = padded[:, : self.width].flatten(0, 1)
+        return rows if self._place is None else rows.index_select(0, self._place)
+
+    def padded(self, rows: Tensor) -> Tensor:
+        """[B, width, ...] of [count, ...], zero where a graph has fewer nodes."""
+        if self._place is not None:
+            zeros = rows.new_zeros(self._shape[0] * self.width, *rows.shape[1:])
+            rows = zeros.index_copy_(0, self._place, rows)
+        return rows.reshape(*self._shape, *rows.shape[1:])
+
+
+class Hop:
+    """The edges of one layer: from the nodes that it reads to those that it computes.
+
+    Attributes:
+        own_share: [M_out] the diagonal of D^-1/2 (A + I) D^-1/2: the weight of each computed
+            node's own features.
+    """
+
+    def __init__(self, matrix: Tensor, source: _Level, target: _Level):
+        """Take the normalised matrix [B, V, V] of nodes in order, those to read and to write."""
+        self._source, self._target = source, target
+        self._matrix = matrix[:, : target.width, : source.width]
+        self.own_share = target.flat(self._matrix.diagonal(dim1=1, dim2=2))
+        # Where the computed nodes are among those read.
+        self._own = target.flat(source.padded(torch.arange(source.count, device=matrix.device)))
+
+    def own(self, rows: Tensor) -> Tensor:
+        """The computed nodes' own features [M_out, ...] of those read [M, ...]."""
+        return _by_row(rows, lambda flat: flat.index_select(0, self._own))
 
     def mix(self, rows: Tensor, own: bool) -> Tensor:
         """Multiply D^-1/2 (A + I) D^-1/2 by the nodes' features (paper section V B).
@@ -114,24 +207,19 @@ class OccupiedNodes:
             own: Whether to include a node's own features; if not, the diagonal is taken as zero.
 
         Returns:
-            [M, ...].
+            [M_out, ...].
         """
-        if rows.dim() == 4 and rows.is_contiguous(memory_format=torch.channels_last):
-            last = rows.permute(0, 2, 3, 1)  # a view that `reshape` does not copy
-            if last.is_contiguous():
-                return self._mix(last, own).permute(0, 3, 1, 2)
-        return self._mix(rows, own)
-
-    def _mix(self, rows: Tensor, own: bool) -> Tensor:
-        matrix = self._matrix
+        matrix = self._matrix.to(rows.dtype)
         if not own:
-            matrix = matrix - torch.diag_embed(matrix.diagonal(dim1=1, dim2=2))
-        flat = rows.flatten(1)
-        if self._kept is None:
-            padded = flat.reshape(*self._shape, flat.shape[-1])
-        else:
-            padded = flat.new_zeros(*self._shape, flat.shape[-1])
-            padded[self._kept] = flat
-        mixed = matrix.to(padded.dtype) @ padded
-        mixed = mixed.flatten(0, 1) if self._kept is None else mixed[self._kept]
-        return mixed.reshape(rows.shape)
+            diagonal = torch.eye(*matrix.shape[1:], dtype=torch.bool, device=matrix.device)
+            matrix = matrix.masked_fill(diagonal, 0.0)
+        return _by_row(rows, lambda flat: self._target.flat(matrix @ self._source.padded(flat)))
+
+
+def _by_row(rows: Tensor, change: Callable[[Tensor], Tensor]) -> Tensor:
+    """Apply a function of [M, F] to features [M, ...]; channels-last pictures stay so, uncopied."""
+    last = rows.dim() == 4 and rows.is_contiguous(memory_format=torch.channels_last)
+    if last:
+        rows = rows.permute(0, 2, 3, 1)
+    changed = change(rows.flatten(1)).unflatten(1, rows.shape[1:])
+    return changed.permute(0, 3, 1, 2) if last else changed

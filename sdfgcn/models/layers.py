@@ -22,10 +22,10 @@ from itertools import pairwise
 
 import torch
 from torch import Generator, Tensor, nn
-from torch.nn.functional import relu
+from torch.nn.functional import conv2d, relu
 
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.models.graph import OccupiedNodes
+from sdfgcn.models.graph import Hop
 
 # In a graph of three objects with goals, a node gets a quarter of each of its three neighbours and
 # a quarter of itself. With these gains, each part is as large as one node's features.
@@ -48,41 +48,17 @@ class Propagation(nn.Module):
         self.weights = layer(bias=True)
         self.own_weights = layer(bias=False) if PROPAGATIONS[propagation] else None
 
-    def forward(self, rows: Tensor, nodes: OccupiedNodes, current_only: bool = False) -> Tensor:
-        """Propagate once.
-
-        Args:
-            rows: [M, ...] features of the occupied nodes.
-            nodes: The graphs of these nodes.
-            current_only: Whether to compute the current scene's nodes only, which is all that is
-                needed of the last layer.
+    def forward(self, rows: Tensor, hop: Hop) -> Tensor:
+        """Propagate features [M, ...] of the nodes that `hop` reads once.
 
         Returns:
-            The new features [M, ...], or those of the current nodes [M_current, ...].
+            [M_out, ...] the new features of the nodes that `hop` computes.
         """
-        mixed = nodes.mix(rows, own=self.own_weights is None)
-        share = nodes.own_share().to(rows.dtype)
-        if current_only:
-            mixed, rows, share = (each[nodes.is_current] for each in (mixed, rows, share))
-        spread = self.weights(mixed)
+        spread = self.weights(hop.mix(rows, own=self.own_weights is None))
         if self.own_weights is not None:
-            share = share.reshape(-1, *(1,) * (rows.dim() - 1))
-            spread += self.own_weights(rows).mul_(share)
+            share = hop.own_share.to(rows.dtype).reshape(-1, *(1,) * (rows.dim() - 1))
+            spread += self.own_weights(hop.own(rows)).mul_(share)
         return relu(spread, inplace=True)
-
-
-def propagate(
-    blocks: nn.ModuleList, propagations: nn.ModuleList, rows: Tensor, nodes: OccupiedNodes
-) -> Tensor:
-    """Apply each block and its propagation layer (paper Fig. 4) to node features [M, ...].
-
-    Returns:
-        [M_current, ...] features of the current scene's nodes.
-    """
-    last = len(blocks) - 1
-    for i, (block, propagation) in enumerate(zip(blocks, propagations, strict=True)):
-        rows = propagation(block(rows), nodes, current_only=i == last)
-    return rows
 
 
 def conv_block(
@@ -95,6 +71,30 @@ def conv_block(
     if pooling > 1:
         layers.append(nn.MaxPool2d(pooling))
     return nn.Sequential(*layers)
+
+
+def labelled_block(block: nn.Module, pictures: Tensor, label: float) -> Tensor:
+    """Apply a block to pictures [M, H, W] with a second channel that is `label` everywhere.
+
+    A convolution is linear, so what it makes of the second channel is computed once and added. So
+    the input, the largest of all tensors, is not written again with twice its size.
+
+    Returns:
+        [M, C, h, w] the block's output for input [M, 2, H, W].
+    """
+    conv, *others = block.children()
+    assert isinstance(conv, nn.Conv2d)
+    # Channels last if the weights are: otherwise each convolution copies its input twice.
+    dim = -1 if in_channels_last(block) else 1
+    pictures = pictures.unsqueeze(dim).movedim(dim, 1)
+    weight, label_weight = conv.weight.split(1, dim=1)
+    rows = conv2d(pictures, weight, conv.bias, conv.stride, conv.padding)
+    if label:
+        channel = pictures.new_full((1, 1, *pictures.shape[2:]), label)
+        rows += conv2d(channel, label_weight, None, conv.stride, conv.padding)
+    for layer in others:
+        rows = layer(rows)
+    return rows
 
 
 def in_channels_last(block: nn.Module) -> bool:

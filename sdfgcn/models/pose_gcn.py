@@ -9,18 +9,18 @@ from operator import attrgetter
 
 import torch
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 from sdfgcn.config import QNetworkConfig, at_least, one_of, positive
 from sdfgcn.models.graph import EDGES, OccupiedNodes
+from sdfgcn.models.graph_network import GraphQNetwork
 from sdfgcn.models.layers import (
     PROPAGATIONS,
     Propagation,
     check_widths,
     linear_block,
-    propagate,
     q_head,
 )
-from sdfgcn.models.q_network import QNetwork, spread_to_rows
 from sdfgcn.registry import MODELS
 from sdfgcn.task.scene import Scene
 
@@ -56,17 +56,14 @@ class PoseGcnConfig(QNetworkConfig):
 
 
 @MODELS.register("pose_gcn", "gt_pose_gcn", config=PoseGcnConfig)
-class PoseGcn(QNetwork):
-    """Blocks of linear layers, each followed by MLP propagation, over the graph of positions.
-
-    Accepts any number of rows.
-    """
+class PoseGcn(GraphQNetwork):
+    """Blocks of linear layers, each followed by MLP propagation, over the graph of positions."""
 
     def __init__(self, config: PoseGcnConfig, n_directions: int, max_objects: int, image_size: int):
         """Make the layers; see `QNetwork` for the arguments."""
         super().__init__(config, n_directions, max_objects, image_size)
         self._position = POSITIONS[config.features]
-        self._edges = config.edges
+        self.edges = config.edges
         self._unit = config.position_unit
         self.blocks, self.propagations = nn.ModuleList(), nn.ModuleList()
         n_channels = 3  # x, y and the scene label
@@ -77,10 +74,8 @@ class PoseGcn(QNetwork):
             self.propagations.append(Propagation(linear, config.propagation))
         self.head = q_head(n_channels, config.hidden, n_directions)
 
-    def action_values(self, scene: Scene, goal: Scene, matched: Tensor) -> Tensor:
-        """See `QNetwork`."""
-        nodes = OccupiedNodes(scene, goal, matched, self._edges)
-        positions = nodes.gather(self._position(scene), self._position(goal)) / self._unit
-        rows = torch.cat([positions, nodes.is_goal.to(positions.dtype).unsqueeze(-1)], dim=-1)
-        rows = propagate(self.blocks, self.propagations, rows, nodes)
-        return spread_to_rows(self.head(rows), scene.node_mask)
+    def encode(self, scene: Scene, goal: Scene, nodes: OccupiedNodes) -> Tensor:
+        """See `GraphQNetwork`; the features are the positions and the scene label."""
+        parts = nodes.gather(self._position(scene), self._position(goal))
+        rows = [pad(part / self._unit, (0, 1), value=label) for label, part in enumerate(parts)]
+        return self.blocks[0](torch.cat(rows))

@@ -10,16 +10,15 @@ from torch import Tensor, nn
 
 from sdfgcn.config import one_of
 from sdfgcn.models.graph import EDGES, OccupiedNodes
+from sdfgcn.models.graph_network import GraphQNetwork
 from sdfgcn.models.layers import (
     PROPAGATIONS,
     Propagation,
     conv_block,
-    in_channels_last,
-    propagate,
+    labelled_block,
     q_head,
 )
 from sdfgcn.models.pictures import PICTURES, ConvConfig
-from sdfgcn.models.q_network import QNetwork, spread_to_rows
 from sdfgcn.registry import MODELS
 from sdfgcn.task.scene import Scene
 
@@ -33,16 +32,13 @@ class ConvGcnConfig(ConvConfig):
 
 
 @MODELS.register("sdfgcn", "separate", "segmentation_gcn", config=ConvGcnConfig)
-class SdfGcn(QNetwork):
-    """CNN blocks, each followed by CNN propagation, over the SDF scene graph (paper Fig. 4).
-
-    Accepts any number of rows.
-    """
+class SdfGcn(GraphQNetwork):
+    """CNN blocks, each followed by CNN propagation, over the SDF scene graph (paper Fig. 4)."""
 
     def __init__(self, config: ConvGcnConfig, n_directions: int, max_objects: int, image_size: int):
         """Make the layers; see `QNetwork` for the arguments."""
         super().__init__(config, n_directions, max_objects, image_size)
-        self._edges = config.edges
+        self.edges = config.edges
         self._picture = PICTURES[config.features]
         self._unit = config.sdf_unit * image_size
         width = config.widths[config.width]
@@ -56,14 +52,10 @@ class SdfGcn(QNetwork):
         size = width.final_size(image_size)
         self.head = q_head(n_channels * size**2, width.hidden, n_directions)
 
-    def action_values(self, scene: Scene, goal: Scene, matched: Tensor) -> Tensor:
-        """See `QNetwork`."""
-        nodes = OccupiedNodes(scene, goal, matched, self._edges)
-        picture = nodes.gather(scene.sdf, goal.sdf)
-        picture = self._picture(picture, self._unit)
-        label = nodes.is_goal.to(picture.dtype)[:, None, None].expand_as(picture)
-        # Channels last if the weights are: otherwise each convolution copies its input twice.
-        dim = -1 if in_channels_last(self.blocks[0]) else 1
-        rows = torch.stack([picture, label], dim).movedim(dim, 1)
-        rows = propagate(self.blocks, self.propagations, rows, nodes)
-        return spread_to_rows(self.head(rows), scene.node_mask)
+    def encode(self, scene: Scene, goal: Scene, nodes: OccupiedNodes) -> Tensor:
+        """See `GraphQNetwork`; the features are the pictures and the scene label."""
+        parts = [
+            labelled_block(self.blocks[0], self._picture(sdf, self._unit), is_goal)
+            for is_goal, sdf in enumerate(nodes.gather(scene.sdf, goal.sdf))
+        ]
+        return torch.cat(parts)

@@ -1,4 +1,11 @@
-"""Double DQN (paper sections III A and V C): network, target network, loss and optimiser."""
+"""Double DQN (paper sections III A and V C): network, target network, loss and optimiser.
+
+Of the values of an observation, an update needs one: that of the taken push, and on the next
+observation, that of the push which the network prefers. Only the choice of the latter takes all.
+So the learner chooses first, tells the networks which value is asked for, and leaves the chosen
+push as the only legal one. TorchRL's plain DQN loss then takes the target network's best value of
+legal pushes, which is the target of double DQN.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +23,7 @@ from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
 
 from sdfgcn.config import TrainConfig, lookup
+from sdfgcn.models.q_network import ASKED
 
 PRECISIONS = {"float32": None, "bfloat16": torch.bfloat16}
 TRIALS = 2  # timed updates per precision
@@ -26,7 +34,12 @@ class Learner:
     """Holds everything that an update changes: networks, averaged weights and optimiser."""
 
     def __init__(
-        self, network: TensorDictModuleBase, actions: Categorical, train: TrainConfig, device: str
+        self,
+        network: TensorDictModuleBase,
+        actions: Categorical,
+        train: TrainConfig,
+        device: str,
+        all_values: bool = False,
     ) -> None:
         """Wrap a Q-network for learning.
 
@@ -35,16 +48,19 @@ class Learner:
             actions: The action spec.
             train: The hyperparameters.
             device: Where to compute.
+            all_values: Whether to compute all values and leave double DQN to TorchRL's loss: the
+                same up to rounding, but slower; for comparisons.
         """
         self._train = train
         self._device = torch.device(device)
         # Saves a third of an update's time on a CPU, and changes nothing else.
         self.network = network.to(self._device).to(memory_format=torch.channels_last)
         self.precision: str | None = None  # chosen before the first update
+        self._chooser = None if all_values else q_actor(network, actions)
         self._loss = DQNLoss(
             q_actor(network, actions),
             loss_function=train.loss,
-            double_dqn=True,
+            double_dqn=all_values,
             delay_value=True,
             action_space="categorical",
         )
@@ -113,6 +129,8 @@ class Learner:
         dtype = PRECISIONS[self.precision or "float32"]
         cast = nullcontext() if dtype is None else torch.autocast(self._device.type, dtype)
         with cast:
+            if self._chooser is not None:
+                batch = _asked(batch, self._chooser)
             return self._loss(batch)["loss"]
 
     def state_dict(self) -> dict[str, Any]:
@@ -133,6 +151,19 @@ class Learner:
         self.updates = int(state["updates"])
         self.precision = state["precision"]
         self._target.counter = self.updates % self._train.target_interval
+
+
+@torch.no_grad()
+def _asked(batch: TensorDictBase, chooser: QValueActor) -> TensorDictBase:
+    """A shallow copy of transitions [B] that asks for the values that double DQN needs."""
+    batch = batch.copy()
+    after = batch["next"]
+    mask = after["action_mask"]
+    action = chooser(after.copy())["action"]
+    # The choice among no legal pushes is arbitrary, but must be the only one here as well.
+    legal = torch.zeros_like(mask).scatter_(-1, action.unsqueeze(-1), True)
+    after.update({"action_mask": legal, ASKED: action})
+    return batch.set(ASKED, batch["action"])
 
 
 def q_actor(network: TensorDictModuleBase, actions: Categorical) -> QValueActor:
