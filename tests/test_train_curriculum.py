@@ -57,7 +57,7 @@ def test_on_grows_with_success_at_the_newest_count() -> None:
 
 
 def test_chance_rarely_opens_the_next_count() -> None:
-    """At a true rate of 75%, in 20 trainings of 400 episodes; a bare mean of 50 opens it in most."""
+    """At a true rate of 75%, in 20 trainings of 400 episodes; a mean of 50 opens it in most."""
     rng = np.random.default_rng(0)
     opened = Counter()
     for overrides in ((), ("curriculum.confidence=0.5", "curriculum.window=50")):

@@ -59,18 +59,20 @@ class Plan:
             *experiment.training,
             *method.agent,
             *method.training,
+            f"budget={self.budget.name}",
             *self.given,
             f"seed={seed}",
         ]
 
     def evaluation(self, name: str, seed: int, cell: Cell, policy: Path | None) -> list[str]:
-        """The overrides of a method's evaluation in one cell; `policy` is None without a network."""
+        """The overrides of a method's evaluation in one cell; `policy` is that of its network."""
         experiment = self.experiment
         return [
             *experiment.overrides,
             *self.method(name).agent,
             *experiment.evaluation,
             *(f"{key}={value}" for key, value in cell.items()),
+            f"budget={self.budget.name}",
             *self.budget.evaluation,
             *self.given,
             f"seed={seed}",
@@ -83,7 +85,7 @@ class Plan:
         It is named after what is trained and how, so that experiments share trainings.
         """
         method = self.method(name)
-        parts = [*method.agent, *method.training, *self.experiment.training, self.budget.name]
+        parts = [*method.agent, *method.training, self.budget.name]
         words = [re.sub(r"\W", "", part.rpartition("=")[2]) for part in parts]
         return Path(self.experiment.trainings) / "_".join(words)
 
