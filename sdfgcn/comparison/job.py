@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sdfgcn.comparison.plan import Plan, cell_name, cells
+from sdfgcn.comparison.plan import DONE, Plan, cell_name, cells
 from sdfgcn.compose import compose_config
 from sdfgcn.config import QNetworkConfig
 from sdfgcn.experiment import run_experiment, with_policy
@@ -30,10 +30,14 @@ def run_job(plan: Plan, method: str, seed: int, folder: Path) -> None:
     for cell in cells(plan.experiment):  # mistakes are told before anything is trained
         typed(compose_config(plan.evaluation(method, seed, cell, None)))
     policy = _trained(plan, method, seed)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / DONE).unlink(missing_ok=True)
     if policy is None and seed > 0:
+        (folder / DONE).touch()
         return
     for cell in cells(plan.experiment):
         _play(plan.evaluation(method, seed, cell, policy), folder / cell_name(cell))
+    (folder / DONE).touch()
 
 
 def _trained(plan: Plan, method: str, seed: int) -> Path | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -13,6 +13,8 @@ from sdfgcn.config import BudgetConfig, ComparisonConfig, MethodConfig, lookup
 from sdfgcn.errors import SdfgcnError
 
 Cell = Mapping[str, Any]  # overrides by key, such as {"n_objects": 3, "eval": "greedy"}
+
+DONE = "done"  # an empty file in the folder of a finished job
 
 
 def cells(experiment: ComparisonConfig) -> list[Cell]:
@@ -113,13 +115,6 @@ def given(overrides: Sequence[str], experiment: ComparisonConfig) -> tuple[str, 
             )
         kept.append(override)
     return tuple(kept)
-
-
-def jobs(experiment: ComparisonConfig, folder: Path) -> Iterator[tuple[str, int, Path]]:
-    """The method, seed and folder of every job of which the sweep's folder holds something."""
-    for name in experiment.methods:
-        for path in sorted((folder / name).glob("seed_*")):
-            yield name, int(path.name.removeprefix("seed_")), path
 
 
 def _quoted(path: Path) -> str:

@@ -67,7 +67,9 @@ def read(
 
 
 def _result(folder: Path, method: str, cell: Cell, seeds: Sequence[int]) -> Result:
-    own = [0] if (folder / method / "seed_0" / "untrained").exists() else list(seeds)
+    own = list(seeds)
+    if (path := folder / method / "seed_0" / cell_name(cell)).exists():
+        own = [0] if _finished(path)["checkpoint"] is None else own
     paths = [folder / method / f"seed_{seed}" / cell_name(cell) for seed in own]
     runs = [_finished(path) for path in paths]
     episodes = [EpisodeTable(path / "episodes.csv").read() for path in paths]
@@ -120,7 +122,7 @@ def _pairs(results: Sequence[Result]) -> Iterator[tuple[Result, int, Mapping[str
 
 
 def _check_commit(results: Sequence[Result]) -> None:
-    commits = {}
+    commits: dict[str | None, str] = {}
     for result, seed, run in _pairs(results):
         commits.setdefault((run["git"] or {}).get("commit"), f"{result.method} seed {seed}")
     if len(commits) > 1:

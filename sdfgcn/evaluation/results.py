@@ -9,6 +9,9 @@ from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.evaluation.episodes import EpisodeResult
 from sdfgcn.provenance import provenance
 
+# What `results.json` repeats of a policy's metadata.
+_TRAINING = ("seed", "budget", "spent", "git", "training")
+
 
 def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) -> dict[str, Any]:
     """Summarise an evaluation of at least one episode: the content of `results.json`.
@@ -60,6 +63,8 @@ def _network(config: Config) -> dict[str, Any]:
         "model": about.get("model", {}).get("name", config.model.name),
         "curriculum": training.get("curriculum.name"),
         "trained_objects": training.get("n_objects"),
+        # Its seed, budget, commit and config; policies of before have no `spent`.
+        "training": {key: about[key] for key in _TRAINING} if "spent" in about else None,
     }
 
 
