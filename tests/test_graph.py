@@ -6,7 +6,14 @@ from observations import random_observation
 from torch import Tensor
 from torch.nn.functional import pad
 
-from sdfgcn.models.graph import EDGES, OccupiedNodes, adjacency_matrix, normalise
+from sdfgcn.models.graph import (
+    EDGES,
+    FIXED_SHARES,
+    OccupiedNodes,
+    adjacency_matrix,
+    normalise,
+    with_fixed_shares,
+)
 
 # Two current objects, three in the goal, N = 3: rows 0 and 1 are matched, and goal 2 has no
 # partner. Nodes: 0 and 1, 2 empty, and 3 to 5 the goal's.
@@ -45,6 +52,11 @@ def normalised(masks: tuple[Tensor, Tensor, Tensor], edges: str) -> Tensor:
     return normalise(adjacency_matrix(*masks, edges), torch.cat(masks[:2], dim=-1))
 
 
+def with_shares(masks: tuple[Tensor, Tensor, Tensor], edges: str) -> Tensor:
+    adjacency, mask = adjacency_matrix(*masks, edges), torch.cat(masks[:2], dim=-1)
+    return with_fixed_shares(adjacency, mask, FIXED_SHARES[edges])
+
+
 @pytest.mark.parametrize("edges", EDGES)
 def test_adjacency_of_two_and_three(edges: str) -> None:
     matrix = adjacency_matrix(*two_and_three(), edges)
@@ -73,6 +85,53 @@ def test_normalised_by_hand() -> None:
         [0, 0, 0, c, c, a],
     ]
     torch.testing.assert_close(normalised(two_and_three(), "complete"), torch.tensor(expected))
+
+
+@pytest.mark.parametrize(
+    ("edges", "expected"),
+    [
+        (
+            "complete",  # rows 3 to 5: the mean of two others has a half
+            [
+                [1 / 4, 1 / 2, 0, 1 / 4, 0, 0],
+                [1 / 2, 1 / 4, 0, 0, 1 / 4, 0],
+                [0, 0, 0, 0, 0, 0],
+                [1 / 4, 0, 0, 1 / 4, 1 / 4, 1 / 4],
+                [0, 1 / 4, 0, 1 / 4, 1 / 4, 1 / 4],
+                [0, 0, 0, 1 / 4, 1 / 4, 1 / 4],
+            ],
+        ),
+        (
+            "separate",
+            [
+                [1 / 2, 0, 0, 1 / 2, 0, 0],
+                [0, 1 / 2, 0, 0, 1 / 2, 0],
+                [0, 0, 0, 0, 0, 0],
+                [1 / 2, 0, 0, 1 / 2, 0, 0],
+                [0, 1 / 2, 0, 0, 1 / 2, 0],
+                [0, 0, 0, 0, 0, 1 / 2],
+            ],
+        ),
+    ],
+)
+def test_fixed_shares_by_hand(edges: str, expected: list[list[float]]) -> None:
+    masks = two_and_three()
+    assert with_shares(masks, edges).tolist() == expected
+
+
+@pytest.mark.parametrize("edges", EDGES)
+def test_fixed_shares_of_three_are_the_normalised(edges: str) -> None:
+    masks = (torch.tensor([True, False, True, True]),) * 3
+    torch.testing.assert_close(with_shares(masks, edges), normalised(masks, edges))
+
+
+@pytest.mark.parametrize("count", [1, 2, 5])
+def test_fixed_shares_are_the_same_for_any_number(count: int) -> None:
+    matrix = with_shares((torch.ones(count).bool(),) * 3, "complete")
+    torch.testing.assert_close(matrix.diagonal(), torch.full((2 * count,), 1 / 4))
+    torch.testing.assert_close(matrix.diagonal(count), torch.full((count,), 1 / 4))
+    rest = 0.0 if count == 1 else 1 / 2
+    torch.testing.assert_close(matrix.sum(-1), torch.full((2 * count,), 1 / 2 + rest))
 
 
 def test_normalised_without_any_object() -> None:

@@ -43,6 +43,7 @@ VARIANTS = [
         else [{}]
     )
 ]
+RELATIONAL = {"propagation": "relational"}
 
 
 def model_config(name: str, **changes: Any) -> QNetworkConfig:
@@ -302,7 +303,7 @@ def test_whose_goal_is_whose(propagation: str) -> None:
     before = q_values(net, td)
     td["goal"] = td["goal"].apply(lambda rows: rows[:, [1, 0, 2]])
     after = q_values(net, td)
-    if propagation == "split":
+    if propagation != "shared":
         assert ((after - before).abs() > 1e-3).any(-1)[:, :2].all()
     else:
         torch.testing.assert_close(after, before, atol=1e-6, rtol=1e-4)
@@ -355,13 +356,60 @@ def test_split_with_equal_weights_is_shared() -> None:
     (hop,) = nodes.hops
     split, shared = (
         Propagation(lambda bias: nn.Conv2d(2, 2, 3, padding=1, bias=bias), propagation)
-        for propagation in PROPAGATIONS
+        for propagation in ("split", "shared")
     )
     split.weights.load_state_dict(shared.weights.state_dict())
     split.own_weights.weight = shared.weights.weight
     n_nodes = sum(map(len, nodes.gather(td["scene"].sdf, td["goal"].sdf)))
     rows = torch.randn(n_nodes, 2, 6, 6, generator=torch.Generator().manual_seed(0))
     torch.testing.assert_close(split(rows, hop), shared(rows, hop))
+
+
+@pytest.mark.parametrize(
+    "graph_name", [name for name, changes in VARIANTS if changes == RELATIONAL]
+)
+def test_relational_is_split_with_three_objects(graph_name: str) -> None:
+    """If all have their goals; with more objects, or without a goal, it is not."""
+    split, relational = (
+        network(graph_name, n=6, propagation=propagation) for propagation in ("split", "relational")
+    )
+    three, six = (random_observation(13, 6, (4,), count=count) for count in (3, 6))
+    for td in (three, six):
+        td["goal"].node_mask[:] = td["matched"][:] = td["scene"].node_mask
+    torch.testing.assert_close(q_values(relational, three), q_values(split, three))
+    separate = split.config.edges == "separate"
+    assert torch.allclose(q_values(relational, six), q_values(split, six), atol=1e-4) == separate
+    three["matched"][:] = False
+    assert not torch.allclose(q_values(relational, three), q_values(split, three), atol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("count", "matched", "expected"),
+    [
+        # A quarter of itself, tripled, a quarter of its goal, half of the mean of the others.
+        (1, True, [3 * 4 / 4 + 40 / 4]),
+        (1, False, [3 * 4 / 4]),
+        (2, True, [3 * 4 / 4 + 40 / 4 + 8 / 2, 3 * 8 / 4 + 80 / 4 + 4 / 2]),
+        (4, True, [3 * each / 4 + 10 * each / 4 + (40 - each) / 3 / 2 for each in (4, 8, 12, 16)]),
+        (4, False, [3 * each / 4 + (40 - each) / 3 / 2 for each in (4, 8, 12, 16)]),
+    ],
+)
+def test_relational_by_hand(count: int, matched: bool, expected: list[float]) -> None:
+    """Objects of values 4, 8, 12 and 16, goals of ten times as much."""
+    td = random_observation(0, 4, (1,), count=4)
+    for scene in (td["scene"], td["goal"]):
+        scene.node_mask[:] = torch.arange(4) < count
+    td["matched"][:] = matched
+    scenes = td["scene"], td["goal"], td["matched"]
+    nodes = OccupiedNodes(*scenes, "complete", n_layers=1, fixed_shares=True)
+    layer = Propagation(lambda bias: nn.Linear(1, 1, bias=bias), "relational")
+    with torch.no_grad():
+        layer.weights.weight.fill_(1.0)
+        layer.weights.bias.zero_()
+        layer.own_weights.weight.fill_(3.0)
+    values = torch.tensor([[4.0], [8.0], [12.0], [16.0]]).unsqueeze(0)
+    rows = torch.cat(nodes.gather(values, 10.0 * values))
+    torch.testing.assert_close(layer(rows, nodes.hops[0]).flatten(), torch.tensor(expected))
 
 
 # ------------------------------------------------------------------ configs

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,6 +19,21 @@ from sdfgcn.task.scene import Scene
 # Whether the nodes of one picture are connected to each other: the paper's graph, and that of its
 # ablation SDFGCN-separate.
 EDGES: dict[str, bool] = {"complete": True, "separate": False}
+
+
+class Shares(NamedTuple):
+    """What a node gets of itself, of its partner, and of the mean of the others in its picture."""
+
+    own: float
+    partner: float
+    others: float
+
+
+# By kind of edges, what `normalise` gives three objects that all have partners.
+FIXED_SHARES: dict[str, Shares] = {
+    "complete": Shares(1 / 4, 1 / 4, 1 / 2),
+    "separate": Shares(1 / 2, 1 / 2, 0.0),
+}
 
 
 def adjacency_matrix(
@@ -63,6 +79,31 @@ def normalise(adjacency: Tensor, node_mask: Tensor) -> Tensor:
     return scale.unsqueeze(-1) * looped * scale.unsqueeze(-2)
 
 
+def with_fixed_shares(adjacency: Tensor, node_mask: Tensor, shares: Shares) -> Tensor:
+    """Weights of the edges and self loops that do not depend on the number of objects.
+
+    `normalise` gives a node of a complete graph 1/(n + 1) of each of n objects, its partner and
+    itself, so what it knows of its own goal fades with n. Here, every node gets the same shares at
+    any n. The share of what is not there, a partner or others, is left out, not passed on.
+
+    Args:
+        adjacency: As from `adjacency_matrix`.
+        node_mask: bool [*B, 2N] which nodes hold an object.
+        shares: The shares.
+
+    Returns:
+        float [*B, 2N, 2N].
+    """
+    nodes = torch.arange(node_mask.shape[-1], device=node_mask.device)
+    is_goal = nodes >= len(nodes) // 2
+    same_picture = is_goal.unsqueeze(-1) == is_goal
+    others = adjacency * same_picture
+    others = others / others.sum(dim=-1, keepdim=True).clamp(min=1.0)
+    own = torch.diag_embed(node_mask.float())
+    partner = adjacency * ~same_picture
+    return shares.own * own + shares.partner * partner + shares.others * others
+
+
 def _distinct_pairs(node_mask: Tensor) -> Tensor:
     """[*B, N, N] true for two different occupied nodes, from the node mask [*B, N]."""
     pairs = node_mask.unsqueeze(-1) & node_mask.unsqueeze(-2)
@@ -90,6 +131,7 @@ class OccupiedNodes:
         edges: str,
         n_layers: int,
         asked: Tensor | None = None,
+        fixed_shares: bool = False,
     ):
         """Build the graphs of scenes [B] and goals [B].
 
@@ -101,11 +143,16 @@ class OccupiedNodes:
             n_layers: The number of propagation layers.
             asked: bool [B, N] the rows of the current scene that the last layer has to compute;
                 all by default. Rows without an object are never computed.
+            fixed_shares: Whether edges have the weights of `with_fixed_shares`, not `normalise`.
         """
         here, there = scene.node_mask, goal.node_mask
         asked = here if asked is None else asked & here
         adjacency = adjacency_matrix(here, there, matched, edges)
-        matrix = normalise(adjacency, torch.cat([here, there], dim=-1))
+        mask = torch.cat([here, there], dim=-1)
+        if fixed_shares:
+            matrix = with_fixed_shares(adjacency, mask, FIXED_SHARES[edges])
+        else:
+            matrix = normalise(adjacency, mask)
         uses = _uses(adjacency, torch.cat([asked, torch.zeros_like(there)], dim=-1), n_layers)
         # In this order, every layer's nodes are the first ones of each graph.
         order = uses.argsort(dim=-1, descending=True, stable=True)
@@ -183,12 +230,12 @@ class Hop:
     """The edges of one layer: from the nodes that it reads to those that it computes.
 
     Attributes:
-        own_share: [M_out] the diagonal of D^-1/2 (A + I) D^-1/2: the weight of each computed
-            node's own features.
+        own_share: [M_out] the diagonal of the matrix: the weight of each computed node's own
+            features.
     """
 
     def __init__(self, matrix: Tensor, source: _Level, target: _Level):
-        """Take the normalised matrix [B, V, V] of nodes in order, those to read and to write."""
+        """Take the edges' weights [B, V, V] of nodes in order, those to read and to write."""
         self._source, self._target = source, target
         self._matrix = matrix[:, : target.width, : source.width]
         self.own_share = target.flat(self._matrix.diagonal(dim1=1, dim2=2))
@@ -200,7 +247,7 @@ class Hop:
         return _by_row(rows, lambda flat: flat.index_select(0, self._own))
 
     def mix(self, rows: Tensor, own: bool) -> Tensor:
-        """Multiply D^-1/2 (A + I) D^-1/2 by the nodes' features (paper section V B).
+        """Multiply the edges' weights by the nodes' features (paper section V B).
 
         Args:
             rows: [M, ...].

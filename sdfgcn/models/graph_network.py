@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from sdfgcn.models.graph import OccupiedNodes
+from sdfgcn.models.layers import PROPAGATIONS
 from sdfgcn.models.q_network import QNetwork, spread_to_rows
 from sdfgcn.task.scene import Scene
 
@@ -20,12 +21,14 @@ class GraphQNetwork(QNetwork):
 
     Attributes:
         edges: A key of `EDGES`.
+        propagation: A key of `PROPAGATIONS`.
         blocks: Layers that look at one node at a time.
         propagations: A `Propagation` after each block.
         head: From a node's features to the values of its pushes.
     """
 
     edges: str
+    propagation: str
     blocks: nn.ModuleList
     propagations: nn.ModuleList
     head: nn.Module
@@ -46,7 +49,10 @@ class GraphQNetwork(QNetwork):
 
     def _values(self, scene: Scene, goal: Scene, matched: Tensor, asked: Tensor) -> Tensor:
         """The values [B, N, D], of the rows `asked` [B, N] alone."""
-        nodes = OccupiedNodes(scene, goal, matched, self.edges, len(self.blocks), asked)
+        fixed_shares = PROPAGATIONS[self.propagation].fixed_shares
+        nodes = OccupiedNodes(
+            scene, goal, matched, self.edges, len(self.blocks), asked, fixed_shares
+        )
         rows = self.propagations[0](self.encode(scene, goal, nodes), nodes.hops[0])
         layers = zip(self.blocks, self.propagations, nodes.hops, strict=True)
         for block, propagation, hop in islice(layers, 1, None):

@@ -12,6 +12,12 @@ changes no Q-value.
 
 `split` gives the self loop its own weights, as the authors' code does:
 H' = act(D^-1/2 (A H W + I H W_own) D^-1/2). With W_own = W the two rules are the same.
+
+`relational` is `split` with other weights of the edges. In `split`, a node gets a quarter of itself
+and of its goal with 3 objects, a seventh with 6, so a network that was trained with 3 objects meets
+features of other magnitudes with 6. Here these shares are a quarter with any number of objects, and
+the mean of the others in the picture has a half; with 3 objects that all have their goals, the two
+rules are the same.
 """
 
 from __future__ import annotations
@@ -19,6 +25,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 import torch
 from torch import Generator, Tensor, nn
@@ -31,8 +38,24 @@ from sdfgcn.models.graph import Hop
 # a quarter of itself. With these gains, each part is as large as one node's features.
 NEIGHBOURS_GAIN, OWN_GAIN = 4.0 / 3.0, 4.0
 
-# Whether the self loop has its own weights.
-PROPAGATIONS: dict[str, bool] = {"split": True, "shared": False}
+
+class Rule(NamedTuple):
+    """How features spread: see the module's docstring.
+
+    Attributes:
+        own_weights: Whether the self loop has its own weights.
+        fixed_shares: Whether edges have the weights of `with_fixed_shares`, not `normalise`.
+    """
+
+    own_weights: bool
+    fixed_shares: bool
+
+
+PROPAGATIONS: dict[str, Rule] = {
+    "split": Rule(own_weights=True, fixed_shares=False),
+    "shared": Rule(own_weights=False, fixed_shares=False),
+    "relational": Rule(own_weights=True, fixed_shares=True),
+}
 
 
 class Propagation(nn.Module):
@@ -46,7 +69,7 @@ class Propagation(nn.Module):
         """
         super().__init__()
         self.weights = layer(bias=True)
-        self.own_weights = layer(bias=False) if PROPAGATIONS[propagation] else None
+        self.own_weights = layer(bias=False) if PROPAGATIONS[propagation].own_weights else None
 
     def forward(self, rows: Tensor, hop: Hop) -> Tensor:
         """Propagate features [M, ...] of the nodes that `hop` reads once.

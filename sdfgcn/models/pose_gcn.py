@@ -63,7 +63,7 @@ class PoseGcn(GraphQNetwork):
         """Make the layers; see `QNetwork` for the arguments."""
         super().__init__(config, n_directions, max_objects, image_size)
         self._position = POSITIONS[config.features]
-        self.edges = config.edges
+        self.edges, self.propagation = config.edges, config.propagation
         self._unit = config.position_unit
         self.blocks, self.propagations = nn.ModuleList(), nn.ModuleList()
         n_channels = 3  # x, y and the scene label

@@ -38,7 +38,7 @@ class SdfGcn(GraphQNetwork):
     def __init__(self, config: ConvGcnConfig, n_directions: int, max_objects: int, image_size: int):
         """Make the layers; see `QNetwork` for the arguments."""
         super().__init__(config, n_directions, max_objects, image_size)
-        self.edges = config.edges
+        self.edges, self.propagation = config.edges, config.propagation
         self._picture = PICTURES[config.features]
         self._unit = config.sdf_unit * image_size
         width = config.widths[config.width]
