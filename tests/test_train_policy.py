@@ -143,6 +143,28 @@ def test_weights_of_another_env_are_refused(override: str, told: str) -> None:
         build_agent(real_config(override), np.random.default_rng(0))
 
 
+@pytest.mark.parametrize(
+    ("training", "n_objects", "refused"),
+    [
+        ({"n_objects": 3, "curriculum.counts": []}, 3, False),
+        ({"n_objects": 3, "curriculum.counts": []}, 4, True),
+        ({"n_objects": 3, "curriculum.counts": [2, 4]}, 4, False),
+    ],
+)
+@pytest.mark.parametrize("model", ["sdf_cnn", "sdfgcn"])
+def test_inputs_that_no_training_filled(
+    model: str, training: dict, n_objects: int, refused: bool, tmp_path: Path
+) -> None:
+    """A network with inputs of its own for each row has learned nothing about the others."""
+    save_policy(tmp_path, build(model), {"budget": None, "training": training})
+    config = real_config(f"model={model}", f"checkpoint={tmp_path}", f"n_objects={n_objects}")
+    if refused and model == "sdf_cnn":
+        with pytest.raises(SdfgcnError, match=r"n_objects is 4, but .* trained with at most 3"):
+            build_agent(config, np.random.default_rng(0))
+    else:
+        build_agent(config, np.random.default_rng(0))
+
+
 def test_no_weights_at_all() -> None:
     with pytest.raises(SdfgcnError, match="give checkpoint="):
         build_agent(real_config("model=sdfgcn"), np.random.default_rng(0))

@@ -136,7 +136,21 @@ def trained_agent(config: Config) -> QAgent:
                 f"{key} is {asked}, but checkpoint={config.checkpoint} was trained with {trained}; "
                 "use that value, or train a network for yours."
             )
+    most = trained_objects(about)
+    if network.fixed_rows and most is not None and config.env.n_objects > most:
+        raise SdfgcnError(
+            f"n_objects is {config.env.n_objects}, but checkpoint={config.checkpoint} was trained "
+            f"with at most {most}, and model={about['model']['name']} has inputs of its own for "
+            "each object; ask for fewer, or take a model with a graph."
+        )
     return QAgent(network)
+
+
+def trained_objects(about: Mapping[str, Any]) -> int | None:
+    """The most objects in a training episode, from `policy.json`; None if it does not say."""
+    training = about.get("training", {})
+    counts = training.get("curriculum.counts") or [training.get("n_objects")]
+    return max(counts) if None not in counts else None
 
 
 @lru_cache(maxsize=4)

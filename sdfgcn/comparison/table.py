@@ -24,6 +24,8 @@ from sdfgcn.evaluation.statistics import (
 
 Row = dict[str, Any]
 
+# What `results.json` says of the conditions.
+_CONDITIONS = ("n_objects", "split", "perception", "epsilon", "loop_distance")
 WITHIN = 25  # points of a curve of success within k pushes
 
 
@@ -62,7 +64,7 @@ def _row(
     return {
         "method": result.method,
         **result.cell,
-        **{key: first[key] for key in ("n_objects", "split", "epsilon", "loop_distance")},
+        **{key: first[key] for key in _CONDITIONS},
         "seeds": list(result.seeds),
         "episodes": outcomes.success.size,
         "limit": outcomes.limit,
