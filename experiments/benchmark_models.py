@@ -4,9 +4,10 @@
     python experiments/benchmark_models.py batch=64 n_objects=4 repeats=5 bfloat16=1
 
 A double DQN update is a forward and a backward pass on the observations, and two forward passes on
-the next ones. Times are the least CPU time of the repeats, since other processes only add to it.
-Writes `results/benchmark_models.json`. `bfloat16=1` also tries autocast, which takes ten times as
-long on a processor that has to emulate it.
+the next ones; here all compute all values, of which a learner asks for fewer
+(`benchmark_learner.py`). Times are the least CPU time of the repeats, since other processes only
+add to it. Writes `results/benchmark_models.json`. `bfloat16=1` also tries autocast, which takes ten
+times as long on a processor that has to emulate it.
 """
 
 from __future__ import annotations
