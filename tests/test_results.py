@@ -56,7 +56,7 @@ def test_t_interval_by_hand() -> None:
 def test_pushes_and_error_are_means_over_successes() -> None:
     config = real_config(
         *("model=rule_based", "n_objects=2", "objects=household", "robot=gripper", "seed=7"),
-        *("eval=greedy", "eval.seed=8"),
+        *("eval=loop_breaker", "eval.seed=8"),
     )
     episodes = [
         episode(0, pushes=10, error_mm=20.0),
