@@ -36,7 +36,8 @@ from sdfgcn.sim.props import rolls
 SPLITS = ("train", "test")
 N_OBJECTS = (2, 3, 4, 5, 6)
 PUSHES_PER_EPISODE = 20
-TIPPED = 45.0  # degrees that an object's upright axis turns when it tips over
+TIPPED = 45.0  # degrees that an object's upright axis turns when it tips or rolls over
+RISEN = 0.005  # m, what can roll has tipped if its centre is this much higher or lower than before
 STEPS = ((0.005, 0.005), (0.002, 0.004), (0.001, 0.004))  # s, of the physics and between commands
 
 
@@ -48,7 +49,8 @@ class Effect:
         status: Of the push, see `PushResult`.
         own: Metres that the pushed object moved on the table.
         furthest: Metres that the furthest object moved.
-        turned: Names of the objects that came to lie on another side, and whether they can roll.
+        turned: Names of the objects that came to lie on another side, and whether they rolled
+            there rather than tipped over.
         name: The object that moved furthest.
         below: Objects whose centre is below the table.
     """
@@ -62,18 +64,25 @@ class Effect:
 
 
 def effect(env: RearrangementEnv, before: NDArray, rolling: Mapping[str, bool]) -> Effect:
-    """Describe the env's last push, which found the objects at the [n, 7] poses `before`."""
+    """Describe the env's last push.
+
+    Args:
+        env: Where it was done.
+        before: [n, 7] poses in which it found the objects.
+        rolling: Whether an object of this name can roll.
+    """
     step, names = env.last_step, names_of(env)
     after = step.after.poses
     if not np.isfinite(after).all():
         raise SystemExit(f"NaN after push {step.index} of episode {env.episode_start.seed}")
     travel = np.linalg.norm((after - before)[:, :2], axis=1)
     over = np.flatnonzero(turn(before, after) > TIPPED)
+    level = np.abs(after[:, 2] - before[:, 2]) < RISEN
     return Effect(
         status=step.push.result.status,
         own=float(travel[step.push.row]),  # with true masks, a row is an object's slot
         furthest=float(travel.max()),
-        turned=tuple((names[i], rolling[names[i]]) for i in over),
+        turned=tuple((names[i], rolling[names[i]] and bool(level[i])) for i in over),
         name=names[int(travel.argmax())],
         below=int((after[:, 2] < 0.0).sum()),
     )
@@ -105,8 +114,8 @@ def quantiles(metres: Sequence[float]) -> dict[str, float]:
 def summary(effects: Sequence[Effect], length: float) -> dict[str, Any]:
     """What many pushes did; `length` is that of a push, metres."""
     done = [each.own for each in effects if each.status == "done"]
-    tipped = [[name for name, rolling in each.turned if not rolling] for each in effects]
-    rolled = [[name for name, rolling in each.turned if rolling] for each in effects]
+    tipped = [[name for name, rolled in each.turned if not rolled] for each in effects]
+    rolled = [[name for name, rolled in each.turned if rolled] for each in effects]
 
     def share(events: Iterable[Any]) -> float:
         return sum(map(bool, events)) / len(effects)
@@ -119,9 +128,14 @@ def summary(effects: Sequence[Effect], length: float) -> dict[str, Any]:
         "moved_over_length_plus_40_mm": sum(each.furthest > length + 0.04 for each in effects),
         "share_tipped": share(tipped),
         "share_rolled_over": share(rolled),
-        "tipped": dict(Counter(name for names in tipped for name in names).most_common(10)),
+        "tipped": _most(tipped),
+        "rolled_over": _most(rolled),
         "below_table": sum(each.below for each in effects),
     }
+
+
+def _most(names: Iterable[Sequence[str]]) -> dict[str, int]:
+    return dict(Counter(name for some in names for name in some).most_common(10))
 
 
 def survey(overrides: list[str], pushes: int) -> dict[str, Any]:

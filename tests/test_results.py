@@ -67,6 +67,7 @@ def test_pushes_and_error_are_means_over_successes() -> None:
     results = summarise(config, episodes, wall_s=12.5)
     expected = {
         "model": "rule_based",
+        "env": "paper",
         "objects": "household",
         "split": "test",
         "n_objects": 2,
@@ -165,7 +166,7 @@ def test_table_stands_beside_the_paper() -> None:
     results = summarise(rule_based, [episode(0), episode(1, error_mm=30.0)], wall_s=1.0)
     title, head, ours, paper, _ = text(results).splitlines()
     assert title == (
-        "3 scanned objects (test), model rule_based, robot ur5e, scenario random, "
+        "3 scanned objects (test), model rule_based, env paper, robot ur5e, scenario random, "
         "perception oracle, epsilon 0.1, no loop distance, seed 0, eval seed 0"
     )
     assert head.index("success rate") == ours.index("100% [34, 100]") == paper.index("69%")
