@@ -26,7 +26,10 @@ from sdfgcn.evaluation.episodes import EpisodeResult, EpisodeTable
 from sdfgcn.files import write_json, write_text
 
 # Keys that change how a run is executed or shown, but not its episodes.
-_FREE_KEYS = ("runtime.", "viz.", "logger.", "experiment.", "eval.name", "eval.episodes")
+_FREE_KEYS = (
+    *("runtime.", "viz.", "logger.", "experiment.", "eval.name", "eval.episodes"),
+    *("env.reward.name", "train.env.reward.name"),
+)
 
 
 class RunFolder:

@@ -313,7 +313,8 @@ def test_direction_1_of_16_heads_at_22_5_degrees(sixteen, row):
     tool = (push.result.end - push.result.start)[:2]
     assert np.degrees(np.arctan2(tool[1], tool[0])) == pytest.approx(22.5)
     moved = (sixteen.last_step.after.poses - sixteen.episode_start.start.poses)[:, :2]
-    assert np.linalg.norm(moved[row]) == pytest.approx(sixteen.config.push.length, abs=0.015)
+    # Of the push's 6 cm, up to 2 are free.
+    assert 0.035 < np.linalg.norm(moved[row]) < 0.06
     assert np.degrees(np.arctan2(*moved[row, ::-1])) == pytest.approx(22.5, abs=8)
     assert np.linalg.norm(moved[1 - row]) < 1e-3
 

@@ -18,6 +18,7 @@ import perception  # noqa: E402
 import perception_matching as matching  # noqa: E402
 import perception_readme as readme  # noqa: E402
 import perception_segmentation as segmentation  # noqa: E402
+import physics  # noqa: E402
 import pictures  # noqa: E402
 
 from sdfgcn.errors import SdfgcnError  # noqa: E402
@@ -53,6 +54,37 @@ def test_a_result_is_named_after_what_is_unusual() -> None:
     assert common.file_name("benchmark", ("oracle", "scanned"), usual) == "benchmark"
     name = common.file_name("benchmark", ("vision", "household"), usual)
     assert name == "benchmark_vision_household"
+
+
+# ---------------------------------------------------------------------- physics
+
+
+def test_only_what_comes_to_lie_on_another_side_has_turned() -> None:
+    half = np.sqrt(0.5)
+    upright = [0.0, 0.0, 0.1, 1.0, 0.0, 0.0, 0.0]
+    # A quarter turn about z, one about x, and 60 degrees about y.
+    quats = ([half, 0, 0, half], [half, half, 0, 0], [np.sqrt(0.75), 0, 0.5, 0])
+    after = np.array([[0.1, 0.2, 0.1, *quat] for quat in quats])
+    np.testing.assert_allclose(physics.turn(np.array([upright] * 3), after), [0, 90, 60], atol=1e-6)
+
+
+def test_summary_of_pushes_by_hand() -> None:
+    effects = [
+        physics.Effect("done", 0.04, 0.05, (("mug", False), ("can", True)), "mug", 0),
+        physics.Effect("done", 0.06, 0.11, (), "can", 1),
+        physics.Effect("blocked", 0.0, 0.0, (), "mug", 0),
+        physics.Effect("done", 0.02, 0.02, (("mug", False),), "mug", 0),
+    ]
+    found = physics.summary(effects, length=0.06)
+    assert found["status"] == {"done": 3, "blocked": 1}
+    assert found["pushed_object_mm"]["median"] == pytest.approx(40.0)  # of the three done
+    assert found["furthest_object_mm"]["max"] == pytest.approx(110.0)
+    assert (found["moved_over_length_plus_40_mm"], found["below_table"]) == (1, 1)
+    assert (found["share_tipped"], found["share_rolled_over"]) == (0.5, 0.25)
+    assert found["tipped"] == {"mug": 2}
+    compared = physics.against(effects, [*effects[:3], effects[1]])
+    assert compared["difference_mm"]["max"] == pytest.approx(40.0)
+    assert (compared["same_status"], compared["same_turned"]) == (1.0, 0.75)
 
 
 # ---------------------------------------------------------------------- matching

@@ -79,7 +79,7 @@ def test_props_are_awake_while_pushed_and_asleep_after(toys_of: Envs):
 
 
 def test_slip_is_taken_out_after_the_push_and_not_in_it(toys_of: Envs, monkeypatch):
-    env = toys_of("gripper")
+    env = toys_of("gripper", "env=table")
     sweeps, step = [], mujoco.mj_step
 
     def spy(model: mujoco.MjModel, data: mujoco.MjData, nstep: int = 1) -> None:

@@ -57,7 +57,7 @@ def test_t_interval_by_hand() -> None:
 def test_pushes_and_error_are_means_over_successes() -> None:
     config = real_config(
         *("model=rule_based", "n_objects=2", "objects=household", "robot=gripper", "seed=7"),
-        *("eval=greedy", "eval.seed=8"),
+        *("eval=loop_breaker", "eval.seed=8"),
     )
     episodes = [
         episode(0, pushes=10, error_mm=20.0),
@@ -68,6 +68,7 @@ def test_pushes_and_error_are_means_over_successes() -> None:
     results = summarise(config, episodes, wall_s=12.5)
     expected = {
         "model": "rule_based",
+        "env": "paper",
         "objects": "household",
         "split": "test",
         "n_objects": 2,
@@ -166,7 +167,7 @@ def test_table_stands_beside_the_paper() -> None:
     results = summarise(rule_based, [episode(0), episode(1, error_mm=30.0)], wall_s=1.0)
     title, head, ours, paper, _ = text(results).splitlines()
     assert title == (
-        "3 scanned objects (test), model rule_based, robot ur5e, scenario random, "
+        "3 scanned objects (test), model rule_based, env paper, robot ur5e, scenario random, "
         "perception oracle, epsilon 0.1, no loop distance, seed 0, eval seed 0"
     )
     assert head.index("success rate") == ours.index("100% [34, 100]") == paper.index("69%")

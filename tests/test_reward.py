@@ -79,6 +79,32 @@ def test_progress_of_what_is_seen_before_and_after(before, after, progress):
     assert terms(before, after) == pytest.approx(ZERO | {"progress": progress})
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "reward"),
+    [([0.10], [0.04], 1.8), ([0.10], [0.30], -6.0), ([0.10, 0.05], [0.10, 0.05], 0.0)],
+)
+def test_the_papers_reward_is_progress_alone(before, after, reward):
+    """Without a cost of a push, a bound or a word about what else happens."""
+    config = real_config("objects=household", "reward=paper").env.reward
+    found = reward_terms(
+        config,
+        *(np.array(before), np.array(after)),
+        success=True,
+        out_of_range=True,
+        vanished=2,
+        none_left=True,
+    )
+    assert found == pytest.approx(dict.fromkeys(ZERO, 0.0) | {"progress": reward})
+
+
+def test_the_bound_can_be_switched_off():
+    config = real_config("objects=household", "env.reward.floor=null").env.reward
+    before, after = np.array([0.1]), np.array([0.2])
+    found = reward_terms(config, before, after, success=False, out_of_range=True)
+    wanted = ZERO | {"progress": -3.0, "out_of_range": -2.0}
+    assert found == pytest.approx(wanted)
+
+
 # ------------------------------------------------------------------ how far everything is
 
 ALLOWED = Region(np.array([-0.3, -0.2]), np.array([0.3, 0.4]))

@@ -1,5 +1,7 @@
 """Every robot's tool goes where it is sent, and does to objects what a push should do."""
 
+from collections.abc import Callable
+
 import mujoco
 import numpy as np
 import pytest
@@ -15,6 +17,8 @@ from sdfgcn.sim.robots.robot import Unreachable
 
 DIRECTIONS = range(8)
 MIDDLE = np.array([0.02, 0.08])  # metres
+FINGERS = 0.01  # metres from the middle of the tool to its front
+BUMPED = 0.015  # metres that repeated impacts send a box ahead of the tool, at most
 
 
 @pytest.fixture(scope="module", params=sorted(ROBOTS))
@@ -59,13 +63,12 @@ def test_tool_follows_the_path(env, tips, direction):
         result = push(env, begin, direction, free=0.04).result
     assert result.status == "no_contact"
     np.testing.assert_allclose(result.start, [*begin, config.height], atol=1e-9)
-    # Nothing was touched, so it went as far as the free distance and the push length.
-    np.testing.assert_allclose(result.end[:2], begin + 0.10 * ahead, atol=1e-9)
+    np.testing.assert_allclose(result.end[:2], begin + 0.06 * ahead, atol=1e-9)
 
     # Before and after, the tool jumps: only what is near the line belongs to the push.
     path, across = np.array(followed.path), np.array(followed.across)
     along, aside = (path[:, :2] - begin) @ ahead, (path[:, :2] - begin) @ [-ahead[1], ahead[0]]
-    near = (np.abs(along - 0.05) < 0.06) & (np.abs(aside) < 0.01) & (path[:, 2] < 0.13)
+    near = (np.abs(along - 0.03) < 0.04) & (np.abs(aside) < 0.01) & (path[:, 2] < 0.13)
     first, last = np.flatnonzero(near)[[0, -1]]
     assert near[first : last + 1].all()
     path, along, aside = path[first:last, 2], along[first:last], aside[first:last]
@@ -85,10 +88,10 @@ def test_tool_follows_the_path(env, tips, direction):
     assert along[work].min() > -close and np.abs(aside[work]).max() < close
     assert (np.diff(path[up]) > 0.0).all() and path[up][-1] > 0.06
     # It backs off before it rises.
-    assert along[work].max() == pytest.approx(0.10, abs=close)
+    assert along[work].max() == pytest.approx(0.06, abs=close)
     # Straight up as the joints go, which for an arm is not quite straight.
     np.testing.assert_allclose(
-        along[up], 0.10 - config.retreat, atol=0.002 if env.world.task.robot.teleports else 0.010
+        along[up], 0.06 - config.retreat, atol=0.002 if env.world.task.robot.teleports else 0.010
     )
     # The fingers stand side by side across the push.
     assert np.abs(across[first:last] @ ahead).max() < 0.05
@@ -113,16 +116,60 @@ def test_tool_stays_within_its_bounds(env, tips):
 
 @pytest.mark.parametrize("direction", DIRECTIONS)
 @pytest.mark.parametrize("toy", [BOX, SLAB])
-def test_push_moves_a_box_by_its_length(env, toy, direction):
+def test_push_moves_a_box_until_the_tool_stops(env, toy, direction):
     # The toys are 6 cm deep in x or y; turned so that a face meets the tool squarely.
     half, quarter = (0.03, 0.0) if toy == BOX else (0.03, np.pi / 2)
     lay_out(env, [toy], [MIDDLE], yaw=angle_of(direction) + quarter)
     done = push(env, behind(direction, half + 0.03), direction, free=0.03)
     assert done.result.status == "done"
     distance = np.linalg.norm(done.moved[0, :2])
-    assert distance == pytest.approx(env.config.push.length, abs=0.015)
+    # 6 cm from the start, of which the fingers are in contact after 2 cm.
+    assert -0.002 < distance - (env.config.push.length - 0.03 + FINGERS) < BUMPED
     assert done.moved[0, :2] @ ahead_of(direction) / distance > np.cos(np.radians(10))
     assert abs(done.moved[0, 2]) < 0.0005
+
+
+@pytest.fixture(scope="module", params=sorted(ROBOTS))
+def measured(request: pytest.FixtureRequest, toys_of: Envs) -> Callable[[str], RearrangementEnv]:
+    """The env whose pushes count from where `length_from` says."""
+    return lambda length_from: toys_of(request.param, f"env.push.length_from={length_from}")
+
+
+@pytest.mark.parametrize(
+    ("length_from", "free", "tool", "box"),
+    [
+        # Whatever the picture says, 6 cm, of which 2 cm are free.
+        ("start", 0.00, 0.06, 0.04),
+        ("start", 0.06, 0.06, 0.04),
+        # 6 cm more than the picture says is free: 3 cm, as it is, and wrong by 3 cm either way.
+        ("surface", 0.00, 0.06, 0.04),
+        ("surface", 0.03, 0.09, 0.07),
+        ("surface", 0.06, 0.12, 0.10),
+        # Whatever the picture says, 6 cm after the 2 cm that are free.
+        ("touch", 0.00, 0.08, 0.06),
+        ("touch", 0.06, 0.08, 0.06),
+    ],
+)
+def test_length_counts_from(measured, length_from, free, tool, box):
+    """The tool starts 6 cm behind the middle of a box of 6 cm, and its front is 1 cm ahead."""
+    env = measured(length_from)
+    lay_out(env, [BOX], [MIDDLE])
+    done = push(env, behind(0, 0.06), 0, free)
+    assert done.result.status == "done"
+    way = (done.result.end - done.result.start)[0]
+    assert way == pytest.approx(tool, abs=0.002 if length_from == "touch" else 1e-9)
+    assert box - 0.002 < done.moved[0, 0] < box + BUMPED
+
+
+@pytest.mark.parametrize(
+    ("length_from", "way"), [("start", 0.06), ("surface", 0.10), ("touch", 0.10)]
+)
+def test_without_a_touch_it_counts_from_the_surface_in_the_picture(measured, length_from, way):
+    env = measured(length_from)
+    lay_out(env, [BOX], [(-0.2, -0.1)])
+    result = push(env, MIDDLE, 2, free=0.04).result
+    assert result.status == "no_contact"
+    np.testing.assert_allclose(result.end[:2], MIDDLE + np.array([0.0, way]), atol=1e-9)
 
 
 def test_no_push_throws_an_object(env):
@@ -135,16 +182,7 @@ def test_no_push_throws_an_object(env):
             done = push(env, begin, direction, free=0.04)
             assert done.result.status == "done"
             furthest = max(furthest, np.linalg.norm(done.moved[0]))
-    assert 0.06 < furthest < env.config.push.length + 0.02
-
-
-@pytest.mark.parametrize("free", [0.0, 0.06])
-def test_length_counts_from_the_first_touch(env, free):
-    """The picture may be wrong by 3 cm either way."""
-    lay_out(env, [BOX], [MIDDLE])
-    done = push(env, behind(0, 0.06), 0, free)
-    assert done.result.status == "done"
-    assert done.moved[0, 0] == pytest.approx(env.config.push.length, abs=0.015)
+    assert 0.04 < furthest < env.config.push.length + 0.02
 
 
 def test_push_through_thin_air_moves_nothing(env):

@@ -32,7 +32,9 @@ def catalogue() -> tuple[ObjectModel, ...]:
 
 
 def config(scenario: str, n: int) -> EnvConfig:
-    return replace(real_config("objects=household", f"scenario={scenario}").env, n_objects=n)
+    """With outlines that keep 1 cm apart."""
+    env = real_config("objects=household", f"scenario={scenario}", "env.scenario.gap=0.01").env
+    return replace(env, n_objects=n)
 
 
 @pytest.fixture(scope="module")

@@ -137,7 +137,9 @@ def test_a_gpu_must_be_there(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_training_env_is_the_other_but_for_its_own_keys() -> None:
-    config = real_config("env.pixels=true", "env.push.length=0.05", "n_objects=2")
+    config = real_config(
+        *("env.pixels=true", "env.push.length=0.05", "env.pushes_per_object=50", "n_objects=2")
+    )
     env, train = config.env, config.train.env
     assert (env.split, env.pushes_per_object, env.pixels, env.robot.name) == (
         *("test", 50, True, "ur5e"),

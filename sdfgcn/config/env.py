@@ -157,11 +157,12 @@ class PushConfig:
 
 @dataclass
 class RewardConfig:
-    """Reward terms (`conf/env/`; paper section IV d and the authors' code)."""
+    """Reward terms (`conf/reward/`; paper section IV d and the authors' code)."""
 
+    name: str = MISSING
     progress: float = MISSING
     step: float = MISSING
-    floor: float = MISSING
+    floor: float | None = MISSING
     success: float = MISSING
     out_of_range: float = MISSING
     vanished: float = MISSING

@@ -1,4 +1,4 @@
-"""The reward of one push (paper section IV d; values from the authors' code)."""
+"""The reward of one push (paper section IV d); `conf/reward/` holds its terms."""
 
 from __future__ import annotations
 
@@ -31,14 +31,15 @@ def reward_terms(
 
     Returns:
         `progress`: weight * sum of (before - after), where both are known. `step`: cost of a push.
-        `floor`: the amount that raises progress and step to their lower bound. `success`,
-        `out_of_range`, `vanished`, `none_left`: given when the event happens.
+        `floor`: the amount that raises progress and step to their lower bound, if there is one.
+        `success`, `out_of_range`, `vanished`, `none_left`: given when the event happens.
     """
     progress = config.progress * float(np.nansum(before - after))
+    bounded = progress + config.step
     return {
         "progress": progress,
         "step": config.step,
-        "floor": max(0.0, config.floor - (progress + config.step)),
+        "floor": 0.0 if config.floor is None else max(0.0, config.floor - bounded),
         "success": config.success if success else 0.0,
         "out_of_range": config.out_of_range if out_of_range else 0.0,
         "vanished": config.vanished * vanished,

@@ -14,12 +14,13 @@ Interval = Sequence[float]
 # Conditions that the rows of a table may share. Those that differ become columns; the others are
 # stated once above the table, unless they are None for every row.
 SHARED = (
-    *("model", "split", "scenario", "perception", "curriculum", "epsilon", "loop_distance"),
+    *("model", "env", "split", "scenario", "perception", "curriculum", "epsilon", "loop_distance"),
     "eval_seed",
 )
 _OWN = ("n_objects", "objects", "robot", "seed")  # conditions that always have a column
 _PRINTED = (
-    *("model", "robot", "scenario", "perception", "epsilon", "loop_distance", "seed", "eval_seed"),
+    *("model", "env", "robot", "scenario", "perception", "epsilon", "loop_distance", "seed"),
+    "eval_seed",
 )
 _NOTE = (
     "In brackets: 95% confidence intervals (Wilson's for the success rate, Student's t for means). "

@@ -25,6 +25,7 @@ def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) 
     errors = [episode.error_mm for episode in successes]
     return {
         **_network(config),
+        "env": config.env.name,
         "objects": config.env.objects.name,
         "split": config.env.split,
         "n_objects": config.env.n_objects,

@@ -41,7 +41,7 @@ _FREE = tuple(
     f"train.{key}"
     for key in (
         *("log_pushes", "checkpoint_minutes", "sdf_cache", "eval_pushes", "eval_episodes"),
-        "env.scenario.max_tries",
+        *("env.scenario.max_tries", "env.reward.name"),
     )
 )
 
