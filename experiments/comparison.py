@@ -1,0 +1,54 @@
+"""The table of an experiment (`experiment=table1`, ...) from the folder of its sweep.
+
+    python experiments/comparison.py table1 multirun/table1
+    python experiments/comparison.py table1 multirun/table1 --seeds 0 1 --readme README.md
+
+Writes `results/<name>.json` (every row), `results/<name>.md` and the figures `results/<name>_*.png`.
+With `--readme`, the table is also inserted between the lines `<!-- results:<name> -->` and
+`<!-- /results -->` of that file. A missing method or seed is an error; ask for less with
+`--methods` and `--seeds`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from common import load
+from table import arguments_of, publish
+
+from sdfgcn.comparison.plan import Plan
+from sdfgcn.comparison.report import write_report
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description="The table of an experiment.")
+    parser.add_argument("name", help="an option of conf/experiment/, such as table1")
+    parser.add_argument("folder", type=Path, help="the sweep's folder, such as multirun/table1")
+    parser.add_argument("--methods", nargs="+", help="the methods to show; all by default")
+    parser.add_argument("--seeds", nargs="+", type=int, help="the training seeds; all by default")
+    given = arguments_of(parser, arguments)
+    config = load([f"experiment={given.name}"])
+    plan = Plan(config.experiment, config.budget, ())
+    methods = given.methods or list(config.experiment.methods)
+    seeds = given.seeds or list(range(config.budget.seeds))
+
+    def make() -> tuple[str, Callable[[Path], None]]:
+        with tempfile.TemporaryDirectory() as scratch:
+            table = write_report(plan, given.folder, methods, seeds, Path(scratch))
+            files = {path.name: path.read_bytes() for path in Path(scratch).iterdir()}
+
+        def write(results: Path) -> None:
+            for name, content in files.items():
+                (results / name).write_bytes(content)
+
+        return table, write
+
+    return publish(given, given.name, make)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
