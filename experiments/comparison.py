@@ -1,9 +1,9 @@
 """The table of an experiment (`experiment=table1`, ...) from the folder of its sweep.
 
     python experiments/comparison.py table1 multirun/table1
-    python experiments/comparison.py table1 multirun/table1 --seeds 0 1 --readme README.md
+    python experiments/comparison.py table1 multirun/table1 --seeds 0 --readme README.md
 
-Writes `results/<name>.json` (every row), `results/<name>.md` and the figures `results/<name>_*.png`.
+Writes `results/<name>.json` (every row), `results/<name>.md` and figures, `results/<name>_*.png`.
 With `--readme`, the table is also inserted between the lines `<!-- results:<name> -->` and
 `<!-- /results -->` of that file. A missing method or seed is an error; ask for less with
 `--methods` and `--seeds`.

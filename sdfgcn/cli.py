@@ -31,7 +31,7 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from sdfgcn.comparison import overview
-from sdfgcn.comparison.plan import Plan, given
+from sdfgcn.comparison.plan import Plan, check, given
 from sdfgcn.compose import component_dirs, conf_dir, register_search_path
 from sdfgcn.config import Config
 from sdfgcn.errors import SdfgcnError
@@ -149,6 +149,7 @@ def _plan(cfg: DictConfig, job: Any) -> Plan:
     config = typed(cfg)
     trainings = str(Path(job.runtime.cwd) / config.experiment.trainings)
     experiment = replace(config.experiment, trainings=trainings)
+    check(experiment)
     return Plan(experiment, config.budget, given(job.overrides.task, experiment))
 
 

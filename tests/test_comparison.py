@@ -12,7 +12,7 @@ from configs import CONF, compose_config, real_config
 from omegaconf import OmegaConf
 
 from sdfgcn.comparison import job, overview
-from sdfgcn.comparison.plan import DONE, Plan, cell_name, cells, given
+from sdfgcn.comparison.plan import DONE, Plan, cell_name, cells, check, given
 from sdfgcn.comparison.results import read
 from sdfgcn.comparison.table import headline, markdown, rows
 from sdfgcn.config import ComparisonConfig, MethodConfig
@@ -98,6 +98,18 @@ def test_what_the_command_line_gives_to_every_run() -> None:
 def test_an_unknown_method_is_told() -> None:
     with pytest.raises(SdfgcnError, match=r"experiment.method is 'dqn'"):
         plan_of("table1").training("dqn", 0)
+
+
+@pytest.mark.parametrize("name", EXPERIMENTS)
+def test_a_headline_without_cells_is_told(name: str) -> None:
+    experiment = plan_of(name).experiment
+    check(experiment)
+    with pytest.raises(
+        SdfgcnError, match=r"experiment.headline is \{'eval': 'none'\}, but none of"
+    ):
+        check(replace(experiment, headline={"eval": "none"}))
+    with pytest.raises(SdfgcnError, match=r"experiment.references is 'dqn', but must be one of"):
+        check(replace(experiment, references=["dqn"]))
 
 
 # ------------------------------------------------------------------ jobs

@@ -31,6 +31,22 @@ def cell_name(cell: Cell) -> str:
     return ",".join(f"{key}={value}" for key, value in cell.items())
 
 
+def check(experiment: ComparisonConfig) -> None:
+    """Check what an experiment's types cannot.
+
+    Raises:
+        SdfgcnError: One sentence that names the key, its value and what would work.
+    """
+    wanted = experiment.headline.items()
+    if not any(wanted <= cell.items() for cell in cells(experiment)):
+        raise SdfgcnError(
+            f"experiment.headline is {dict(experiment.headline)}, but none of experiment.cells has "
+            "all of these values; change one of the two."
+        )
+    for name in experiment.references:
+        lookup(experiment.methods, "experiment.references", name)
+
+
 @dataclass(frozen=True)
 class Plan:
     """The runs of one experiment.
