@@ -5,8 +5,8 @@
 
 Writes `results/<name>.json` (every row), `results/<name>.md` and figures, `results/<name>_*.png`.
 With `--readme`, the table is also inserted between the lines `<!-- results:<name> -->` and
-`<!-- /results -->` of that file. A missing method or seed is an error; ask for less with
-`--methods` and `--seeds`.
+`<!-- /results -->` of that file. A missing method, seed or cell is an error; ask for less with
+`--methods` and `--seeds`, or leave out unfinished cells with `--partial`.
 """
 
 from __future__ import annotations
@@ -30,6 +30,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, help="the sweep's folder, such as multirun/table1")
     parser.add_argument("--methods", nargs="+", help="the methods to show; all by default")
     parser.add_argument("--seeds", nargs="+", type=int, help="the training seeds; all by default")
+    parser.add_argument("--partial", action="store_true", help="leave out unfinished cells")
     given = arguments_of(parser, arguments)
     config = load([f"experiment={given.name}"])
     plan = Plan(config.experiment, config.budget, ())
@@ -38,7 +39,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     def make() -> tuple[str, Callable[[Path], None]]:
         with tempfile.TemporaryDirectory() as scratch:
-            table = write_report(plan, given.folder, methods, seeds, Path(scratch))
+            table = write_report(plan, given.folder, methods, seeds, Path(scratch), given.partial)
             files = {path.name: path.read_bytes() for path in Path(scratch).iterdir()}
 
         def write(results: Path) -> None:

@@ -291,6 +291,15 @@ def test_a_missing_seed_is_told(tmp_path: Path) -> None:
         read(EXPERIMENT, sweep(tmp_path), ["rule_based", "sdfgcn"], [0, 1, 2])
 
 
+def test_unfinished_cells_can_be_left_out(tmp_path: Path) -> None:
+    experiment = replace(EXPERIMENT, cells=[{"n_objects": [3], "eval": ["default", "greedy"]}])
+    found = read(experiment, sweep(tmp_path), ["rule_based", "sdfgcn"], [0, 1], partial=True)
+    assert [result.cell for result in found] == [CELL, CELL]
+    table = markdown(experiment, rows(experiment, found, np.random.default_rng(0)))
+    assert "Not finished: n_objects=3,eval=greedy." in table
+    assert read(experiment, tmp_path, ["sdfgcn"], [0, 1, 2], partial=True) == []
+
+
 def test_a_half_deleted_cell_is_told(tmp_path: Path) -> None:
     folder = sweep(tmp_path)
     path = folder / "sdfgcn" / "seed_1" / cell_name(CELL)

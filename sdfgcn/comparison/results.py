@@ -46,32 +46,60 @@ class Result:
 
 
 def read(
-    experiment: ComparisonConfig, folder: Path, methods: Sequence[str], seeds: Sequence[int]
+    experiment: ComparisonConfig,
+    folder: Path,
+    methods: Sequence[str],
+    seeds: Sequence[int],
+    partial: bool = False,
 ) -> list[Result]:
     """Read all cells of the given methods and seeds; a method without a network has seed 0 only.
+
+    Args:
+        experiment: What is compared.
+        folder: The sweep's folder.
+        methods: Keys of the experiment's methods.
+        seeds: The training seeds.
+        partial: Leave out cells that some method or seed has not finished.
 
     Raises:
         SdfgcnError: A cell is missing, unfinished or damaged, or runs do not belong together.
     """
-    found = [
-        _result(folder, name, cell, seeds)
-        for name in methods
-        if lookup(experiment.methods, "experiment.method", name)
-        for cell in cells(experiment)
-    ]
-    _check_commit(found)
+    for name in methods:
+        lookup(experiment.methods, "experiment.method", name)
+    found = []
     for cell in cells(experiment):
-        _check_conditions(folder, [result for result in found if result.cell == cell])
+        runs = {name: _runs(folder, name, cell, seeds) for name in methods}
+        unfinished = [
+            (path, state)
+            for paths in runs.values()
+            for path in paths
+            if (state := _state(path)) != "done"
+        ]
+        if unfinished and not partial:
+            path, state = unfinished[0]
+            raise SdfgcnError(
+                f"{path} is {state}, so the table would lack it; run the same command again to "
+                "finish it, or ask for less with seed=... or experiment.method=..."
+            )
+        if not unfinished:
+            here = [_result(name, cell, paths) for name, paths in runs.items()]
+            _check_conditions(folder, here)
+            found += here
+    _check_commit(found)
     _check_training(found)
     return found
 
 
-def _result(folder: Path, method: str, cell: Cell, seeds: Sequence[int]) -> Result:
-    own = list(seeds)
-    if (path := folder / method / "seed_0" / cell_name(cell)).exists():
-        own = [0] if _finished(path)["checkpoint"] is None else own
-    paths = [folder / method / f"seed_{seed}" / cell_name(cell) for seed in own]
-    runs = [_finished(path) for path in paths]
+def _runs(folder: Path, method: str, cell: Cell, seeds: Sequence[int]) -> list[Path]:
+    """The run folder of each seed; of seed 0 alone for a method without a network."""
+    first = folder / method / "seed_0" / cell_name(cell)
+    if _state(first) == "done" and _results(first)["checkpoint"] is None:
+        return [first]
+    return [folder / method / f"seed_{seed}" / cell_name(cell) for seed in seeds]
+
+
+def _result(method: str, cell: Cell, paths: Sequence[Path]) -> Result:
+    runs = [_results(path) for path in paths]
     episodes = [EpisodeTable(path / "episodes.csv").read() for path in paths]
     for path, run, rows in zip(paths, runs, episodes, strict=True):
         if [row.seed for row in rows] != run["episode_seeds"]:
@@ -93,26 +121,29 @@ def _result(folder: Path, method: str, cell: Cell, seeds: Sequence[int]) -> Resu
         limit=config.env.pushes_per_object * config.env.n_objects,
     )
     out_of_range = np.mean([[row.out_of_range for row in rows] for rows in episodes])
-    return Result(method, cell, tuple(own), outcomes, float(out_of_range), tuple(runs))
+    seeds = tuple(int(path.parent.name.removeprefix("seed_")) for path in paths)
+    return Result(method, cell, seeds, outcomes, float(out_of_range), tuple(runs))
 
 
-def _finished(path: Path) -> dict[str, Any]:
-    """The `results.json` of a finished cell."""
+def _state(path: Path) -> str:
+    """The state of a run folder: `done`, `running`, `failed` or `missing`."""
+    if not (path / "status.json").exists():
+        return "missing"
+    return str(_json(path / "status.json").get("state"))
+
+
+def _results(path: Path) -> dict[str, Any]:
+    """The `results.json` of a finished run."""
+    return _json(path / "results.json")
+
+
+def _json(file: Path) -> dict[str, Any]:
     try:
-        status = json.loads((path / "status.json").read_text(encoding="utf-8"))
-        state = status.get("state")
-        if state == "done":
-            return json.loads((path / "results.json").read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        state = "missing"
-    except ValueError as error:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
         raise SdfgcnError(
-            f"{path} is damaged ({error}); remove it and run the experiment again."
+            f"{file.parent} is damaged ({error}); remove it and run the experiment again."
         ) from error
-    raise SdfgcnError(
-        f"{path} is {state}, so the table would lack it; run the same command again to finish it, "
-        "or ask for less with seed=... or experiment.method=..."
-    )
 
 
 def _pairs(results: Sequence[Result]) -> Iterator[tuple[Result, int, Mapping[str, Any]]]:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from sdfgcn.comparison.plan import Cell
+from sdfgcn.comparison.plan import Cell, cell_name, cells
 from sdfgcn.comparison.results import Result
 from sdfgcn.config import ComparisonConfig
 from sdfgcn.evaluation.bootstrap import Bootstrap
@@ -123,16 +123,24 @@ def markdown(experiment: ComparisonConfig, found: Sequence[Row]) -> str:
     """The main table beside the paper's, then one of all other conditions."""
     main = headline(experiment, found)
     others = [row for row in found if row not in main]
-    parts = [f"**{experiment.title}.** {_said(main[0])}.", _table(experiment, main), _note(main)]
+    parts = [f"**{experiment.title}.**"]
+    if main:
+        parts = [f"{parts[0]} {_said(main[0])}.", _table(experiment, main)]
     if others:
-        parts += ["All other conditions:", _table(experiment, others, conditions=True)]
+        parts += ["Other conditions:", _table(experiment, others, conditions=True)]
+    parts += [_note(found)]
+    if missing := [cell for cell in cells(experiment) if not any(_is(row, cell) for row in found)]:
+        parts += [f"Not finished: {'; '.join(map(cell_name, missing))}."]
     return "\n\n".join(parts) + "\n"
 
 
 def headline(experiment: ComparisonConfig, found: Sequence[Row]) -> list[Row]:
     """The rows of the main table."""
-    wanted = experiment.headline.items()
-    return [row for row in found if all(row.get(key) == value for key, value in wanted)]
+    return [row for row in found if _is(row, experiment.headline)]
+
+
+def _is(row: Row, conditions: Mapping[str, Any]) -> bool:
+    return all(row.get(key) == value for key, value in conditions.items())
 
 
 def _said(row: Row) -> str:
