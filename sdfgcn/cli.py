@@ -147,7 +147,9 @@ def _run_in_comparison(cfg: DictConfig, job: Any) -> None:
 
 def _plan(cfg: DictConfig, job: Any) -> Plan:
     config = typed(cfg)
-    trainings = str(Path(job.runtime.cwd) / config.experiment.trainings)
+    trainings = config.experiment.trainings
+    if Path.cwd() != Path(job.runtime.cwd):  # where a launcher starts its processes elsewhere
+        trainings = str(Path(job.runtime.cwd) / trainings)
     experiment = replace(config.experiment, trainings=trainings)
     check(experiment)
     return Plan(experiment, config.budget, given(job.overrides.task, experiment))

@@ -75,13 +75,12 @@ def test_from_nothing_to_the_table(sweep: tuple[Path, subprocess.CompletedProces
 
 @pytest.mark.parametrize("launcher", ["basic", "submitit_local"])
 def test_again_only_what_is_missing(
-    launcher: str, sweep: tuple[Path, subprocess.CompletedProcess], tmp_path: Path
+    launcher: str, sweep: tuple[Path, subprocess.CompletedProcess]
 ) -> None:
     """As if it had been killed in the rule's cell, after everything else was finished."""
     if launcher in PLUGINS and find_spec(PLUGINS[launcher]) is None:
         pytest.skip("not installed")
-    folder = tmp_path / "sweep"
-    shutil.copytree(sweep[0], folder)
+    folder, _ = sweep
     (missing,) = folder.glob("rule_based/seed_0/eval*")
     shutil.rmtree(missing)
     files = (*folder.glob("trainings/*/seed_0/checkpoint*"), *folder.glob("gt*/seed_0/eval*/*"))
