@@ -1,0 +1,144 @@
+"""Put a trained network of an experiment into the package, with its model card.
+
+    python experiments/release.py sdfgcn multirun/trainings/sdfgcn_contest/seed_0 --table table1
+
+Copies the policy to `sdfgcn/weights/<name>/`, so that `checkpoint=<name>` runs it, and writes its
+card from `policy.json`, `train.csv` and the rows of the method in `results/<table>.json`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from common import RESULTS
+
+from sdfgcn.agents.policy import ABOUT, RELEASED, WEIGHTS, find_policy, read_about
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.evaluation.report import decimal, markdown_table, percent
+from sdfgcn.files import CsvTable, write_text
+from sdfgcn.train.progress import COLUMNS
+
+POINTS = 12  # rows of the learning curve in the card
+
+
+def card(name: str, about: dict[str, Any], curve: Sequence[dict], rows: Sequence[dict]) -> str:
+    """The model card in Markdown.
+
+    Args:
+        name: The name to load the weights by.
+        about: The content of `policy.json`.
+        curve: The rows of `train.csv`.
+        rows: The rows of the method in the experiment's table.
+    """
+    training, spent, git = about["training"], about["spent"], about["git"] or {}
+    counts = training.get("curriculum.counts") or [training["n_objects"]]
+    dirty = " with uncommitted changes" if git.get("dirty") else ""
+    parts = [
+        f"# Model card: {name}",
+        f"`python run.py checkpoint={name}` evaluates it; `sdfgcn.load_policy({name!r})` loads it.",
+        "\n".join(
+            [
+                f"- **Model:** {about['model']['name']}, {about['directions']} directions.",
+                f"- **Training:** seed {about['seed']}, commit {git.get('commit', 'unknown')[:10]}"
+                f"{dirty}; {spent['pushes']} pushes, {spent['updates']} updates of "
+                f"{training['train.batch_size']} transitions, {spent['hours']:.1f} hours on one "
+                "core, which other work shared.",
+                f"- **World:** env={training['train.env.name']}, objects="
+                f"{training['train.env.objects.name']} (split {training['train.env.split']}), "
+                f"{', '.join(map(str, counts))} objects "
+                f"(curriculum={training['curriculum.name']}), "
+                f"perception={training['train.env.perception.name']}, "
+                f"robot={training['train.env.robot.name']}.",
+            ]
+        ),
+        _curve(curve),
+        "Success and out of range in training: the last 100 episodes, random pushes included.",
+        "**On held-out objects:**",
+        _results(rows),
+        "In brackets: 95% intervals, see the README. Licence: MIT, as the project.",
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _curve(rows: Sequence[dict]) -> str:
+    step = max(1, len(rows) // POINTS)
+    heads = ("pushes", "updates", "epsilon", "objects", "success", "out of range", "loss")
+    return markdown_table(
+        heads,
+        [
+            [
+                *(row["pushes"], row["updates"], f"{float(row['epsilon']):.2f}", row["n_objects"]),
+                *(_share(row[key]) for key in ("success_rate", "out_of_range_rate")),
+                row["loss"],
+            ]
+            for row in rows[step - 1 :: step]
+        ],
+    )
+
+
+def _share(text: str) -> str:
+    return percent(float(text)) if text else "-"
+
+
+def _results(rows: Sequence[dict]) -> str:
+    heads = ("objects", "split", "perception", "epsilon", "loop distance (m)", "seeds")
+    heads = (*heads, "episodes", "success", "pushes", "error (mm)", "out of range")
+    return markdown_table(
+        heads,
+        [
+            [
+                *(str(row[key]) for key in ("n_objects", "split", "perception", "epsilon")),
+                *(str(row["loop_distance"] or "-"), str(len(row["seeds"])), str(row["episodes"])),
+                percent(row["success_rate"], row["success_rate_ci95"]),
+                decimal(row["pushes"], row["pushes_ci95"]),
+                decimal(row["error_mm"], row["error_mm_ci95"]),
+                percent(row["out_of_range_rate"]),
+            ]
+            for row in rows
+        ],
+    )
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description="Put a trained network into the package.")
+    parser.add_argument("name", help="the name to load it by")
+    parser.add_argument("training", type=Path, help="the folder of its training")
+    parser.add_argument("--method", help="its method in the table; by default the name")
+    parser.add_argument(
+        "--table", nargs="+", required=True, help="tables in results/ with its rows"
+    )
+    parser.add_argument("--results", type=Path, default=RESULTS, help="where the tables are")
+    parser.add_argument("--weights", type=Path, default=RELEASED, help="where the weights go")
+    given = parser.parse_args(arguments)
+    try:
+        policy = find_policy(given.training)
+        about = read_about(policy)
+        if about["budget"] is None:
+            raise SdfgcnError(f"{policy} is of an unfinished training; finish it first.")
+        tables = [given.results / f"{table}.json" for table in given.table]
+        every = [row for table in tables for row in json.loads(table.read_text(encoding="utf-8"))]
+        method = given.method or given.name
+        rows = [row for row in every if row["method"] == method]
+        if not rows:
+            raise SdfgcnError(f"{', '.join(map(str, tables))} have no rows of {method}.")
+        text = card(given.name, about, CsvTable(given.training / "train.csv", COLUMNS).read(), rows)
+        folder = given.weights / given.name
+        folder.mkdir(parents=True, exist_ok=True)
+        for file in (WEIGHTS, ABOUT):
+            shutil.copyfile(policy / file, folder / file)
+        write_text(folder / "README.md", text)
+    except (SdfgcnError, OSError) as error:
+        print(error, file=sys.stderr)
+        return 1
+    print(text, end="")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

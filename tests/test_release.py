@@ -1,0 +1,72 @@
+"""`experiments/release.py`: weights into the package, with a card from their training's files."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from configs import real_config
+
+ROOT = Path(__file__).parents[1]
+sys.path.insert(0, str(ROOT / "experiments"))
+
+import release  # noqa: E402
+
+from sdfgcn.agents.policy import load_network, save_policy  # noqa: E402
+from sdfgcn.files import CsvTable  # noqa: E402
+from sdfgcn.models import build_q_network  # noqa: E402
+from sdfgcn.train.progress import COLUMNS  # noqa: E402
+from sdfgcn.train.training import learning_config  # noqa: E402
+
+ROW = {
+    **{"method": "gt_pose_gcn", "n_objects": 3, "split": "test", "perception": "vision"},
+    **{"epsilon": 0.1, "loop_distance": None, "seeds": [0, 1], "episodes": 400},
+    **{"success_rate": 0.5, "success_rate_ci95": [0.4, 0.6], "pushes": None, "pushes_ci95": None},
+    **{"error_mm": 30.0, "error_mm_ci95": None, "out_of_range_rate": 0.25},
+}
+
+
+@pytest.fixture
+def trained(tmp_path: Path) -> Path:
+    """The folder of a training, and a table with a row of it."""
+    config = real_config("model=gt_pose_gcn", "seed=4")
+    about = {
+        **{"budget": {"pushes": 90}, "spent": {"pushes": 90, "updates": 7, "hours": 0.25}},
+        **{"seed": 4, "git": {"commit": "c" * 40, "dirty": False}},
+        "training": learning_config(config),
+    }
+    folder = tmp_path / "training"
+    folder.mkdir()
+    save_policy(folder / "policy", build_q_network(config.model, 8, 3, 96, 0), about)
+    row = dict.fromkeys(COLUMNS, 0) | {"pushes": 90, "success_rate": 0.75, "out_of_range_rate": ""}
+    CsvTable(folder / "train.csv", COLUMNS).write([row])
+    (tmp_path / "table1.json").write_text(json.dumps([ROW, ROW | {"method": "sdfgcn"}]))
+    return folder
+
+
+def run(trained: Path, *options: str) -> int:
+    folder = trained.parent
+    where = ("--results", str(folder), "--weights", str(folder / "weights"), "--table", "table1")
+    return release.main([*options, str(trained), *where])
+
+
+def test_weights_and_card(trained: Path) -> None:
+    assert run(trained, "gt_pose_gcn") == 0
+    released = trained.parent / "weights" / "gt_pose_gcn"
+    network, about = load_network(released)
+    assert (about["seed"], network.max_objects) == (4, 3)
+    card = (released / "README.md").read_text()
+    assert "seed 4, commit cccccccccc; 90 pushes, 7 updates of 32 transitions, 0.2 hours" in card
+    assert "| 90 | 0 | 0.00 | 0 | 75% | - | 0 |" in card
+    assert "| 3 | test | vision | 0.1 | - | 2 | 400 | 50% [40, 60] | - | 30.0 | 25% |" in card
+    assert card.count("| 3 | test |") == 1
+
+
+def test_what_is_refused(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(trained, "other") == 1
+    assert "have no rows of other" in capsys.readouterr().err
+    about = json.loads((trained / "policy" / "policy.json").read_text())
+    (trained / "policy" / "policy.json").write_text(json.dumps(about | {"budget": None}))
+    assert run(trained, "gt_pose_gcn") == 1
+    assert "is of an unfinished training" in capsys.readouterr().err
+    assert not (trained.parent / "weights").exists()
