@@ -44,6 +44,10 @@ def test_footprint_of_a_box_stood_on_its_side():
         # The gap rule alone: at 5 cm the gap is 1 cm.
         (0.05, Spacing(centers=0.0, gap=0.01), True),
         (0.049, Spacing(centers=0.0, gap=0.01), False),
+        # Without a gap they may touch, but not overlap.
+        (0.04, Spacing(centers=0.0, gap=0.0), True),
+        (0.0399, Spacing(centers=0.0, gap=0.0), False),
+        (0.0, Spacing(centers=0.0, gap=0.0), False),
         # Touching is not a gap, overlapping even less so.
         (0.04, Spacing(centers=0.0, gap=0.001), False),
         (0.01, Spacing(centers=0.0, gap=0.001), False),

@@ -14,6 +14,9 @@ from shapely.affinity import translate
 from sdfgcn.task.region import Region
 
 
+_NEGLIGIBLE = 1e-9  # m2, the overlap that rounding gives shapes that touch
+
+
 class NoRoom(Exception):  # noqa: N818 - an outcome of sampling, not an error; the caller draws again
     """The props could not be placed within the allowed tries."""
 
@@ -54,10 +57,18 @@ def is_free(points: NDArray, shapes: Sequence[Polygon], rule: Spacing) -> bool:
     placed = [translate(shape, *point) for shape, point in zip(shapes, points, strict=True)]
     return all(
         np.linalg.norm(points[i] - points[j]) >= rule.centers - 1e-9
-        and placed[i].distance(placed[j]) >= rule.gap - 1e-9
+        and _apart(placed[i], placed[j], rule.gap - 1e-9)
         for i in range(len(points))
         for j in range(i)
     )
+
+
+def _apart(one: Polygon, other: Polygon, gap: float) -> bool:
+    """Whether two footprints are `gap` metres apart; with a gap of 0, they may touch."""
+    if gap > 0.0:
+        return one.distance(other) >= gap
+    # The distance of shapes that overlap is 0 too.
+    return one.intersection(other).area < _NEGLIGIBLE
 
 
 def sample_positions(
@@ -89,7 +100,7 @@ def sample_positions(
         gaps = np.linalg.norm(candidates[:, None] - points[None, :], axis=-1)
         for candidate in candidates[(gaps >= rule.centers).all(axis=1)]:
             there = translate(shape, *candidate)
-            if all(there.distance(other) >= rule.gap for other in placed):
+            if all(_apart(there, other, rule.gap) for other in placed):
                 points = np.vstack([points, candidate])
                 placed.append(there)
                 break

@@ -130,7 +130,7 @@ class RearrangementTask(composer.Task):
         sleep are cleared, so that restoring saved poses restores the state.
         """
         options = physics.model.opt
-        options.noslip_iterations = 0  # off while the tool moves, see conf/env/table.yaml
+        options.noslip_iterations = 0  # off while the tool moves, see conf/env/paper.yaml
         result = self._primitive.execute(physics, command)
         options.noslip_iterations = self._config.physics.noslip_iterations
         if result.status != "unreachable":
