@@ -13,7 +13,6 @@ from shapely.affinity import translate
 
 from sdfgcn.task.region import Region
 
-
 _NEGLIGIBLE = 1e-9  # m2, the overlap that rounding gives shapes that touch
 
 
