@@ -33,7 +33,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import torch
-from common import file_name, load, parse, provenance, save
+from common import file_name, load, parse, save
 from tqdm import tqdm
 
 import sdfgcn.sim.world as sim_world
@@ -41,6 +41,7 @@ from sdfgcn.config import Config
 from sdfgcn.envs.rearrangement import RearrangementEnv
 from sdfgcn.perception.matching import Matcher
 from sdfgcn.perception.sdf import SdfTransform
+from sdfgcn.provenance import provenance
 from sdfgcn.registry import ROBOTS, SEGMENTERS
 from sdfgcn.sim.renderer import Renderer
 from sdfgcn.task.push_space import PushSpace

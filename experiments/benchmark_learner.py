@@ -23,12 +23,13 @@ from typing import Any
 
 import torch
 from benchmark_models import observation
-from common import load, parse, provenance, save
+from common import load, parse, save
 from tensordict import TensorDict
 from tqdm import tqdm
 
 from sdfgcn.config import Config
 from sdfgcn.models import build_q_network
+from sdfgcn.provenance import provenance
 from sdfgcn.task.push_space import PushSpace
 from sdfgcn.train.learner import Learner
 

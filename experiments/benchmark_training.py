@@ -22,10 +22,11 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from common import load, parse, provenance, save
+from common import load, parse, save
 from learning_curve import read
 
 from sdfgcn.loggers.files import NoLogger
+from sdfgcn.provenance import provenance
 from sdfgcn.train.training import q_network, train
 
 CASES: tuple[tuple[str, int], ...] = (("sync", 0), ("async", 1), ("async", 2), ("async", 3))

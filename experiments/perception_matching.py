@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
-from common import RESULTS, file_name, load, provenance, save
+from common import RESULTS, file_name, load, save
 from numpy.typing import NDArray
 from pictures import Picture, outlined, save_png, sheet, titled
 from tqdm import tqdm
@@ -30,6 +30,7 @@ from sdfgcn.evaluation.results import wilson
 from sdfgcn.files import write_json, write_text
 from sdfgcn.perception.base import detected
 from sdfgcn.perception.matching import Matcher
+from sdfgcn.provenance import provenance
 from sdfgcn.sim.episode import draw_episode
 from sdfgcn.sim.world import MujocoWorld
 

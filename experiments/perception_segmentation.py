@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import RESULTS, load, provenance, save
+from common import RESULTS, load, save
 from numpy.typing import NDArray
 from pictures import enlarged, painted, save_png, sheet
 from tqdm import tqdm
@@ -25,6 +25,7 @@ from sdfgcn.evaluation.results import wilson
 from sdfgcn.files import write_text
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.perception.segmenters.ucn import SHIPPED
+from sdfgcn.provenance import provenance
 from sdfgcn.registry import SEGMENTERS
 from sdfgcn.segmentation.metrics import MaskScores, score_masks
 from sdfgcn.segmentation.scores import Example, shifted_look, summary, views

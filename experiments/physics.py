@@ -24,13 +24,14 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 
 import mujoco
 import numpy as np
-from common import load, parse, provenance, save
+from common import load, parse, save
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import ks_2samp
 from tqdm import tqdm
 
 from sdfgcn.envs.rearrangement import RearrangementEnv
+from sdfgcn.provenance import provenance
 from sdfgcn.sim.props import rolls
 
 SPLITS = ("train", "test")

@@ -113,7 +113,7 @@ def test_a_training_goes_on_with_it(tmp_path: Path) -> None:
         """The transitions at the start and at the end."""
         config = real_config(*CONFIG, "her=future", f"budget.pushes={pushes}")
         logger = NoLogger(config.logger, tmp_path)
-        trainer = build_trainer(config, tmp_path, logger, small_network, lambda _: None, None)
+        trainer = build_trainer(config, tmp_path, logger, small_network, lambda *_: None, None)
         buffer = trainer._replay.buffer
         with closing(trainer), torch.random.fork_rng():
             start = buffer.storage.get(slice(0, len(buffer))) if len(buffer) else TensorDict()

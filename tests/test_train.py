@@ -38,7 +38,7 @@ def train_in_child(overrides: tuple[str, ...], folder: Path) -> None:
     os.environ.setdefault("MUJOCO_GL", "egl")
     world.load_catalogue = lambda config, split: TOYS  # a small world is built quickly
 
-    def keep(network: QNetwork) -> None:
+    def keep(network: QNetwork, spent: dict[str, float]) -> None:
         torch.save(network.state_dict(), folder / "kept.pt")
 
     config = real_config(*overrides)
