@@ -185,9 +185,10 @@ def test_a_damaged_run_is_named(tmp_path: Path) -> None:
         table.collect([folder])
 
 
-def test_the_readme_has_its_place() -> None:
+@pytest.mark.parametrize("name", ["calibration", "first", "table1", "table2"])
+def test_the_readme_has_its_place(name: str) -> None:
     text = (ROOT / "README.md").read_text()
-    assert "new\n" in table.filled(text, "rule_based", "new\n", Path("README.md"))
+    assert "new\n" in table.filled(text, name, "new\n", Path("README.md"))
 
 
 def test_a_name_is_no_path(tmp_path: Path) -> None:

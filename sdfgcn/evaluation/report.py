@@ -14,8 +14,8 @@ Interval = Sequence[float]
 # Conditions that the rows of a table may share. Those that differ become columns; the others are
 # stated once above the table, unless they are None for every row.
 SHARED = (
-    *("model", "env", "split", "scenario", "perception", "curriculum", "epsilon", "loop_distance"),
-    "eval_seed",
+    *("model", "env", "split", "scenario", "perception", "checkpoint", "curriculum"),
+    *("epsilon", "loop_distance", "eval_seed"),
 )
 _OWN = ("n_objects", "objects", "robot", "seed")  # conditions that always have a column
 _PRINTED = (
