@@ -20,7 +20,7 @@ from common import RESULTS
 
 from sdfgcn.agents.policy import ABOUT, RELEASED, WEIGHTS, find_policy, read_about
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.evaluation.report import decimal, markdown_table, percent
+from sdfgcn.evaluation.report import commit_of, decimal, markdown_table, percent
 from sdfgcn.files import CsvTable, write_text
 from sdfgcn.train.progress import COLUMNS
 
@@ -36,17 +36,16 @@ def card(name: str, about: dict[str, Any], curve: Sequence[dict], rows: Sequence
         curve: The rows of `train.csv`.
         rows: The rows of the method in the experiment's table.
     """
-    training, spent, git = about["training"], about["spent"], about["git"] or {}
+    training, spent = about["training"], about["spent"]
     counts = training.get("curriculum.counts") or [training["n_objects"]]
-    dirty = " with uncommitted changes" if git.get("dirty") else ""
     parts = [
         f"# Model card: {name}",
         f"`python run.py checkpoint={name}` evaluates it; `sdfgcn.load_policy({name!r})` loads it.",
         "\n".join(
             [
                 f"- **Model:** {about['model']['name']}, {about['directions']} directions.",
-                f"- **Training:** seed {about['seed']}, commit {git.get('commit', 'unknown')[:10]}"
-                f"{dirty}; {spent['pushes']} pushes, {spent['updates']} updates of "
+                f"- **Training:** seed {about['seed']}, commit {commit_of(about['git'])}; "
+                f"{spent['pushes']} pushes, {spent['updates']} updates of "
                 f"{training['train.batch_size']} transitions, {spent['hours']:.1f} hours on one "
                 "core, which other work shared.",
                 f"- **World:** env={training['train.env.name']}, objects="

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sdfgcn.files import replaced
+from sdfgcn.files import CsvTable, replaced
 from sdfgcn.train.progress import COLUMNS
 
 Row = Mapping[str, Any]
@@ -100,8 +100,6 @@ def _within(rows: Sequence[Row]) -> Any:
 
 def _curves(folder: Path) -> list[tuple[list[int], list[float]]]:
     """Pushes and success rate of each seed's training."""
-    from sdfgcn.files import CsvTable
-
     curves = []
     for file in sorted(folder.glob("seed_*/train.csv")):
         table = CsvTable(file, COLUMNS).read()

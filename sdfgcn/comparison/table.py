@@ -11,7 +11,7 @@ from sdfgcn.comparison.plan import Cell, cell_name, cells
 from sdfgcn.comparison.results import Result
 from sdfgcn.config import ComparisonConfig
 from sdfgcn.evaluation.bootstrap import Bootstrap
-from sdfgcn.evaluation.report import decimal, markdown_table, paper, percent
+from sdfgcn.evaluation.report import commit_of, decimal, markdown_table, paper, percent
 from sdfgcn.evaluation.results import wilson
 from sdfgcn.evaluation.statistics import (
     difference,
@@ -191,15 +191,13 @@ def _points(value: float, interval: Sequence[float]) -> str:
 def _note(found: Sequence[Row]) -> str:
     episodes = sorted({row["episodes"] // len(row["seeds"]) for row in found})
     limits = sorted({row["limit"] for row in found})
-    git = found[0]["git"]
-    commit = "unknown" if git is None else git["commit"][:10]
-    dirty = " with uncommitted changes" if git and git["dirty"] else ""
     return (
         f"Each seed plays the same {_listed(episodes)} scenes; most pushes: {_listed(limits)}. "
         "In brackets: 95% intervals from a bootstrap over training seeds, then scenes (Wilson's at "
         "0% and 100%); none from fewer than 10 successes. Pushes and error are means over "
         "successful episodes, as in the paper. Differences are percentage points on the same "
-        f"scenes. The paper's figures are for ShapeNet models. Commit {commit}{dirty}."
+        f"scenes. The paper's figures are for ShapeNet models. Commit "
+        f"{commit_of(found[0]['git'])}."
     )
 
 

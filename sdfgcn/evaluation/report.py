@@ -142,14 +142,15 @@ def _provenance(rows: Sequence[Results]) -> str:
     figures = [figure for row in rows if (figure := paper(row))]
     tables = sorted({figure["table"] for figure in figures})
     methods = sorted({figure["method"] for figure in figures} - {row["model"] for row in rows})
-    commits = sorted({_commit(row["git"]) for row in rows})
+    commits = sorted({commit_of(row["git"]) for row in rows})
     mujoco = sorted({row["versions"].get("mujoco", "unknown") for row in rows})
     which = f" ({', '.join(methods)})" if methods else ""
     paper_part = f"Paper: {' and '.join(tables)}{which}. " if tables else ""
     return f"{paper_part}Commit {' and '.join(commits)}; MuJoCo {' and '.join(mujoco)}."
 
 
-def _commit(git: dict[str, Any] | None) -> str:
+def commit_of(git: Mapping[str, Any] | None) -> str:
+    """Format a commit for a table; `git` is as in `results.json`."""
     if git is None:
         return "unknown"
     return git["commit"][:10] + (" with uncommitted changes" if git["dirty"] else "")
