@@ -21,8 +21,8 @@ from common import RESULTS
 from sdfgcn.agents.policy import ABOUT, RELEASED, WEIGHTS, find_policy, read_about
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.report import commit_of, decimal, markdown_table, percent
-from sdfgcn.files import CsvTable, write_text
-from sdfgcn.train.progress import COLUMNS
+from sdfgcn.files import write_text
+from sdfgcn.train.progress import read_curve
 
 POINTS = 12  # rows of the learning curve in the card
 
@@ -126,7 +126,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         rows = [row for row in every if row["method"] == method]
         if not rows:
             raise SdfgcnError(f"{', '.join(map(str, tables))} have no rows of {method}.")
-        text = card(given.name, about, CsvTable(given.training / "train.csv", COLUMNS).read(), rows)
+        text = card(given.name, about, read_curve(given.training / "train.csv"), rows)
         folder = given.weights / given.name
         folder.mkdir(parents=True, exist_ok=True)
         for file in (WEIGHTS, ABOUT):

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from sdfgcn.files import CsvTable, replaced
-from sdfgcn.train.progress import COLUMNS
+from sdfgcn.files import replaced
+from sdfgcn.train.progress import read_curve
 
 Row = Mapping[str, Any]
 
@@ -102,7 +102,7 @@ def _curves(folder: Path) -> list[tuple[list[int], list[float]]]:
     """Pushes and success rate of each seed's training."""
     curves = []
     for file in sorted(folder.glob("seed_*/train.csv")):
-        table = CsvTable(file, COLUMNS).read()
+        table = read_curve(file)
         known = [(int(row["pushes"]), row["success_rate"]) for row in table if row["success_rate"]]
         curves.append(([pushes for pushes, _ in known], [float(rate) for _, rate in known]))
     return curves

@@ -30,6 +30,7 @@ class QNetwork(TensorDictModuleBase):
         in_keys: `scene`, `goal` and `matched`, as in `RearrangementEnv`.
         out_keys: `action_value`, float32 [*B, N * D], in the order of `PushSpace`'s actions.
         fixed_rows: Whether observations must have exactly `max_objects` rows.
+        learner: How it is trained, a key of `sdfgcn.train.learners.LEARNERS`.
         config: The `model` part of the experiment's config.
         n_directions: D.
         max_objects: The N that it was built for.
@@ -37,6 +38,7 @@ class QNetwork(TensorDictModuleBase):
     """
 
     fixed_rows: ClassVar[bool] = False
+    learner: ClassVar[str] = "double_dqn"
 
     def __init__(
         self, config: QNetworkConfig, n_directions: int, max_objects: int, image_size: int

@@ -33,6 +33,8 @@ TRIAL_BATCH = 4  # transitions per timed update
 class Learner:
     """Holds everything that an update changes: networks, averaged weights and optimiser."""
 
+    metrics = ("loss",)
+
     def __init__(
         self,
         network: TensorDictModuleBase,

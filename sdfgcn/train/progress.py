@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import time
 from collections import deque
 from pathlib import Path
@@ -16,32 +18,36 @@ from sdfgcn.loggers import Logger
 
 WINDOW = 100  # episodes or updates over which metrics are averaged
 
-COLUMNS = (
-    *("pushes", "updates", "episodes", "seconds", "pushes_per_s", "updates_per_s"),
-    *("success_rate", "out_of_range_rate", "episode_pushes", "return", "loss", "epsilon"),
-    "n_objects",
-)
-_AVERAGED = ("success_rate", "out_of_range_rate", "episode_pushes", "return", "loss")
+_COUNTED = ("pushes", "updates", "episodes", "seconds", "pushes_per_s", "updates_per_s")
+_OF_EPISODES = ("success_rate", "out_of_range_rate", "episode_pushes", "return")
 
 
 class Progress:
     """Counts pushes and episodes, averages recent metrics, and shows and logs them."""
 
-    def __init__(self, folder: Path, logger: Logger, log_pushes: int) -> None:
+    def __init__(
+        self, folder: Path, logger: Logger, log_pushes: int, metrics: tuple[str, ...] = ("loss",)
+    ) -> None:
         """Start all counters at zero.
 
         Args:
             folder: The run folder.
             logger: Also receives each row of `train.csv`; its step is the number of pushes.
             log_pushes: Pushes between rows.
+            metrics: Names of the learner's metrics; a column each.
         """
         self.pushes = self.episodes = 0
         self._earlier_s = 0.0  # training time before the checkpoint resumed from
         self._began = time.monotonic()
-        self._table = CsvTable(folder / "train.csv", COLUMNS)
+        self._table = CsvTable(
+            folder / "train.csv", (*_COUNTED, *_OF_EPISODES, *metrics, "epsilon", "n_objects")
+        )
         self._logger = logger
         self._log_pushes = log_pushes
-        self._recent = {name: deque[float](maxlen=WINDOW) for name in _AVERAGED}
+        self._metrics = metrics
+        self._recent = {
+            name: deque[float](maxlen=WINDOW) for name in (*_OF_EPISODES, *metrics)
+        }
         self._return: dict[int, float] = {}  # of unfinished episodes so far, by trajectory
         self._carried = 0.0  # return so far of the checkpoint's unfinished episode
         self._last_row = (self._began, 0, 0)  # time, pushes and updates at the last row
@@ -71,7 +77,8 @@ class Progress:
 
     def updated(self, figures: dict[str, float]) -> None:
         """Record the metrics of one update."""
-        self._recent["loss"].append(figures["loss"])
+        for name in self._metrics:
+            self._recent[name].append(figures[name])
 
     def pushed(self, collected: TensorDictBase) -> None:
         """Count [T] pushes from a collector, and the episodes that they end."""
@@ -118,8 +125,9 @@ class Progress:
         )
         self._bar.set_postfix_str(
             f"{spent}{updates} updates, {figures['updates_per_s']:.1f}/s, "
-            f"success {figures['success_rate']:.0%}, loss {figures['loss']:.3f}, "
-            f"epsilon {epsilon:.2f}, {n_objects} objects",
+            f"success {figures['success_rate']:.0%}, "
+            + "".join(f"{name} {figures[name]:.3g}, " for name in self._metrics)
+            + f"epsilon {epsilon:.2f}, {n_objects} objects",
             refresh=False,
         )
         self._bar.update(self.pushes - self._bar.n)
@@ -151,6 +159,12 @@ class Progress:
     def forget_episode(self) -> None:
         """Drop the checkpoint's unfinished episode: the collectors start new ones."""
         self._carried = 0.0
+
+
+def read_curve(file: Path) -> list[dict[str, str]]:
+    """The rows of a `train.csv`; an incomplete last line, left by a killed process, is left out."""
+    text = file.read_text(encoding="utf-8")
+    return list(csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1])))
 
 
 def _mean(values: deque[float]) -> float:

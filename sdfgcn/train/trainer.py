@@ -20,7 +20,7 @@ from sdfgcn.train.curriculum import Curriculum
 from sdfgcn.train.exploration import EpsilonGreedyPolicy
 from sdfgcn.train.held_out import HeldOutCurve
 from sdfgcn.train.hindsight import Hindsight
-from sdfgcn.train.learner import Learner
+from sdfgcn.train.learners import AnyLearner
 from sdfgcn.train.progress import Progress
 from sdfgcn.train.replay import Replay
 
@@ -35,7 +35,7 @@ class TrainingState:
     """All that a checkpoint holds except the collector's state.
 
     Attributes:
-        learner: Network, target network and optimiser.
+        learner: Network, averaged weights and optimiser.
         policy: Picks the pushes.
         replay: The replay buffer.
         hindsight: Makes transitions with other goals.
@@ -43,7 +43,7 @@ class TrainingState:
         progress: Counters and recent metrics.
     """
 
-    learner: Learner
+    learner: AnyLearner
     policy: EpsilonGreedyPolicy
     replay: Replay
     hindsight: Hindsight

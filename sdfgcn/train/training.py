@@ -27,7 +27,7 @@ from sdfgcn.train.curriculum import Curriculum, ObjectCountSampler
 from sdfgcn.train.exploration import EpsilonGreedyPolicy
 from sdfgcn.train.held_out import Evaluate, HeldOutCurve
 from sdfgcn.train.hindsight import Hindsight
-from sdfgcn.train.learner import Learner
+from sdfgcn.train.learners import build_learner
 from sdfgcn.train.progress import Progress
 from sdfgcn.train.replay import Replay
 from sdfgcn.train.trainer import KeepNetwork, Spent, Trainer, TrainingState
@@ -163,13 +163,14 @@ def build_trainer(
     env = training_env(config, counts)
     actions = PushSpace(env.push, env.arena).spec(env.max_objects)
     network = build_network(config, env.max_objects)
+    learner = build_learner(network, actions, config.train, config.runtime.device)
     state = TrainingState(
-        Learner(network, actions, config.train, config.runtime.device),
+        learner,
         EpsilonGreedyPolicy(network, actions, config.train, config.budget.epsilon_pushes),
         Replay(config),
         Hindsight(config.her, env),
         Curriculum(config.curriculum, counts),
-        Progress(folder, logger, config.train.log_pushes),
+        Progress(folder, logger, config.train.log_pushes, learner.metrics),
     )
     collector_state = _restored(state, folder / NAME, config)
     curve = HeldOutCurve(folder, logger, config.train.eval_pushes, evaluate)

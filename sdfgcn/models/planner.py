@@ -1,0 +1,58 @@
+"""How the planner of the push model scores predicted positions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from sdfgcn.config import at_least, positive
+
+
+@dataclass
+class PlannerConfig:
+    """The terms of the score (`planner` in `conf/model/push_model.yaml`).
+
+    Attributes:
+        push: Distance by which a push brings an object nearer, metres.
+        aim: Distance from the goal at which an object needs no more pushes, metres.
+        away: Pushes that an object costs for not being at its goal, besides those for its distance.
+        risk: Pushes that an object out of range costs.
+    """
+
+    push: float = positive()
+    aim: float = at_least(0)
+    away: float = at_least(0)
+    risk: float = at_least(0)
+
+
+def pushes_needed(
+    config: PlannerConfig, threshold: float, distance: Tensor, deviation: Tensor
+) -> Tensor:
+    """Expected pushes until an object is at its goal.
+
+    Args:
+        config: The terms.
+        threshold: Distance within which it is at its goal, metres.
+        distance: [...] predicted distance to its goal, metres.
+        deviation: [...] standard deviation of the prediction, metres; 0 where it is known.
+    """
+    way = (distance - config.aim).clamp_min(0.0) / config.push
+    return way + config.away * _above(distance - threshold, deviation)
+
+
+def risk_of_leaving(inside_by: Tensor, deviation: Tensor) -> Tensor:
+    """Probability that an object is out of range.
+
+    Args:
+        inside_by: [...] predicted distance to the border, metres, positive inside.
+        deviation: [...] standard deviation of the prediction, metres.
+    """
+    return _above(-inside_by, deviation)
+
+
+def _above(value: Tensor, deviation: Tensor) -> Tensor:
+    """Probability that a normal variable is above 0; a step if it has no deviation."""
+    spread = torch.special.ndtr(value / deviation.clamp_min(1e-6))
+    return torch.where(deviation > 0.0, spread, (value > 0.0).to(value.dtype))

@@ -1,0 +1,212 @@
+"""A model of pushes: from masks alone, where every object ends after every push.
+
+Its action values are those of a planner that looks one or two pushes ahead: how many pushes fewer
+are needed after a push, less the risk that it moves something out of range.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import ClassVar, NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from sdfgcn.config import ArenaConfig, QNetworkConfig, at_least, one_of, positive
+from sdfgcn.errors import SdfgcnError
+from sdfgcn.models.planner import PlannerConfig, pushes_needed, risk_of_leaving
+from sdfgcn.models.polar import PolarConv, PolarMaps, in_all_directions, reflected
+from sdfgcn.models.q_network import QNetwork
+from sdfgcn.registry import MODELS
+from sdfgcn.task.scene import Scene
+
+
+@dataclass
+class PushModelConfig(QNetworkConfig):
+    """The push model and its planner (`conf/model/push_model.yaml`).
+
+    Attributes:
+        rings, angles, radius: Of the polar maps; see `PolarMaps`.
+        cut: Distances are cut at this value, and it is their unit; metres.
+        trunk: Channels of the convolutions that look at the pushed object and its surroundings.
+        pair: Channels of those that also look at one object that may move.
+        hidden: Units of the last hidden layer.
+        unit: The displacement that is one at the output, metres.
+        deviation_min: Least standard deviation of a prediction, metres.
+        planner: How a push is chosen.
+        success_threshold: Distance within which an object is at its goal, metres.
+        plane_height: Height of the plane onto which pixels are projected, metres.
+        arena: The camera and the allowed region.
+    """
+
+    rings: int = at_least(4)
+    angles: int = at_least(8)
+    radius: float = positive()
+    cut: float = positive()
+    trunk: list[int] = at_least(1)
+    pair: list[int] = at_least(1)
+    hidden: int = at_least(1)
+    unit: float = positive()
+    deviation_min: float = positive()
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
+    success_threshold: float = positive()
+    plane_height: float = at_least(0)
+    arena: ArenaConfig = field(default_factory=ArenaConfig)
+
+
+class Moves(NamedTuple):
+    """Predicted displacements of objects j by pushes of objects i in D directions.
+
+    Attributes:
+        mean: float32 [B, I, N, D, 2] metres on the table.
+        deviation: float32 [B, I, N, D] standard deviation of each coordinate, metres.
+        near: bool [B, I, N] whether j is near enough to i to be moved; the others stay.
+    """
+
+    mean: Tensor
+    deviation: Tensor
+    near: Tensor
+
+
+@MODELS.register("push_model", config=PushModelConfig)
+class PushModel(QNetwork):
+    """Predicts displacements from polar maps, and values pushes by the scene that they lead to.
+
+    An object's surroundings are encoded once; from that and the map of an object that may move come
+    its displacements by pushes in all directions, in the frame of each push. Turns by the angle
+    between two directions and mirror images are exact, as maps are averaged over both mirror images
+    and convolutions are circular. Only the border of the allowed region stays where it is.
+    """
+
+    learner: ClassVar[str] = "displacement"
+
+    def __init__(
+        self, config: PushModelConfig, n_directions: int, max_objects: int, image_size: int
+    ):
+        """Make the layers; see `QNetwork` for the arguments.
+
+        Raises:
+            SdfgcnError: The directions do not coincide with angles of the maps.
+        """
+        super().__init__(config, n_directions, max_objects, image_size)
+        if (config.angles // 2) % n_directions:
+            raise SdfgcnError(
+                f"env.push.directions is {n_directions}, but must divide half of model.angles "
+                f"({config.angles})."
+            )
+        self._config = config
+        arena = replace(config.arena, image_size=image_size)
+        self.maps = PolarMaps(
+            arena, config.plane_height, config.rings, config.angles, config.radius
+        )
+        first, second = config.trunk
+        third, fourth = config.pair
+        self.trunk = nn.Sequential(PolarConv(3, first), PolarConv(first, second, (2, 2)))
+        self.asked = nn.Sequential(PolarConv(1, first // 2), PolarConv(first // 2, second, (2, 2)))
+        self.pair = nn.Sequential(PolarConv(2 * second, third), PolarConv(third, fourth, (2, 1)))
+        rings = (((config.rings - 1) // 2 + 1) - 1) // 2 + 1
+        self.head = nn.Sequential(
+            nn.Linear(3 * fourth * rings, config.hidden), nn.ReLU(), nn.Linear(config.hidden, 3)
+        )
+        turns = torch.arange(n_directions) * (2.0 * math.pi / n_directions)
+        cos, sin = turns.cos(), turns.sin()
+        frames = torch.stack([torch.stack([cos, -sin], -1), torch.stack([sin, cos], -1)], -2)
+        self.register_buffer("frames", frames, persistent=False)  # [D, 2, 2] push to table
+
+    @property
+    def unit(self) -> float:
+        """The displacement that is one at the output, metres."""
+        return self._config.unit
+
+    # ------------------------------------------------------------------ prediction
+
+    def moves(self, scene: Scene, rows: Tensor | None = None) -> Moves:
+        """Predict what each push moves, and where to.
+
+        Args:
+            scene: Current scenes [B].
+            rows: int64 [B, I] the objects that are pushed; None for all, so that I = N.
+        """
+        return self._moves(scene.sdf, scene.center, scene.node_mask, rows)
+
+    def _moves(self, sdf: Tensor, center: Tensor, occupied: Tensor, rows: Tensor | None) -> Moves:
+        batch, n = occupied.shape
+        if rows is None:
+            rows = torch.arange(n, device=occupied.device).expand(batch, n)
+        pushed = rows[..., None].expand(-1, -1, 2)
+        points = self.maps.points(center.gather(1, pushed))
+        fields = self.maps.distances(sdf, points)  # [B, I, N, R, A]
+        fields = fields.masked_fill(~occupied[:, None, :, None, None], torch.inf)
+        own = torch.zeros_like(fields[:, :, :, 0, 0], dtype=torch.bool).scatter_(
+            2, rows[..., None], True
+        )
+        near = (fields.amin(dim=(-2, -1)) < 0.0) | own
+        near &= occupied[:, None, :] & occupied.gather(1, rows)[..., None]
+        others = fields.masked_fill(own[..., None, None], torch.inf).amin(dim=2)
+        mine = fields.masked_fill(~own[..., None, None], torch.inf).amin(dim=2)
+        around = self._cut(torch.stack([mine, others, self.maps.inside_by(points)], dim=2))
+        some = near.any(dim=-1)
+        mean, log_deviation = self._displacements(
+            around[some], self._cut(fields[near]), _ranks(near, some)
+        )
+        deviation = self._config.deviation_min + self._config.unit * log_deviation.exp()
+        directions = self.n_directions
+        all_mean = mean.new_zeros(batch, rows.shape[1], n, directions, 2)
+        all_deviation = mean.new_full(
+            (batch, rows.shape[1], n, directions), self._config.deviation_min
+        )
+        all_mean[near] = torch.einsum("dab,pdb->pda", self.frames, mean * self._config.unit)
+        all_deviation[near] = deviation
+        return Moves(all_mean, all_deviation, near)
+
+    def _cut(self, distances: Tensor) -> Tensor:
+        return (distances / self._config.cut).clamp(-1.0, 1.0)
+
+    def _displacements(self, around: Tensor, asked: Tensor, ranks: Tensor) -> tuple[Tensor, Tensor]:
+        """Displacements in the frame of each push, in units.
+
+        Args:
+            around: [Q, 3, R, A] the surroundings of the pushed objects: distances to the object, to
+                all others, and to the border of the allowed region.
+            asked: [P, R, A] the objects that may move, around the pushed ones.
+            ranks: int64 [P] which of the Q objects is pushed.
+
+        Returns:
+            mean [P, D, 2] and log deviation [P, D].
+        """
+        plain = self._one_sided(around, asked, ranks)
+        mirror = self._one_sided(reflected(around), reflected(asked), ranks)
+        # Seen in a mirror, the push in direction k heads in direction -k and its left is right.
+        mirror = mirror.transpose(1, 2).flip(-1).roll(1, dims=-1).transpose(1, 2)
+        signs = mirror.new_tensor([1.0, -1.0, 1.0])
+        both = 0.5 * (plain + mirror * signs)
+        return both[..., :2], both[..., 2]
+
+    def _one_sided(self, around: Tensor, asked: Tensor, ranks: Tensor) -> Tensor:
+        features = torch.cat([self.trunk(around)[ranks], self.asked(asked[:, None])], dim=1)
+        return self.head(in_all_directions(self.pair(features), self.n_directions))
+
+    # ------------------------------------------------------------------ planning
+
+    def action_values(self, scene: Scene, goal: Scene, matched: Tensor) -> Tensor:
+        """See `QNetwork`: the pushes saved by each push, as its planner expects."""
+        planner, threshold = self._config.planner, self._config.success_threshold
+        moves = self.moves(scene)
+        center, target = scene.center, goal.center
+        here = center - target
+        then = here[:, None, :, None] + moves.mean  # [B, N, N, D, 2]
+        before = pushes_needed(planner, threshold, here.norm(dim=-1), moves.mean.new_zeros(()))
+        after = pushes_needed(planner, threshold, then.norm(dim=-1), moves.deviation)
+        saved = (before[:, None, :, None] - after) * matched[:, None, :, None]
+        ends = center[:, None, :, None] + moves.mean
+        risk = risk_of_leaving(self.maps.inside_by(ends), moves.deviation)
+        risk = risk * moves.near[..., None]
+        values = saved.sum(dim=2) - planner.risk * risk.sum(dim=2)
+        return values * scene.node_mask[..., None]
+
+
+def _ranks(near: Tensor, some: Tensor) -> Tensor:
+    """For each true entry of `near` [B, I, N], the rank of its [B, I] among those with any."""
+    numbers = (some.flatten().cumsum(0) - 1).unflatten(0, some.shape)
+    return numbers[..., None].expand_as(near)[near]
