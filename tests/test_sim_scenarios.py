@@ -19,6 +19,7 @@ from sdfgcn.objects.model import ObjectModel
 from sdfgcn.registry import SCENARIOS
 from sdfgcn.sim.episode import EpisodeSpec, draw_episode
 from sdfgcn.sim.placement import NoRoom
+from sdfgcn.sim.scenarios.packed import Packed
 from sdfgcn.sim.scenarios.scenario import Situation
 from sdfgcn.sim.scenarios.swap import Swap
 
@@ -76,7 +77,8 @@ def test_layouts_keep_region_and_spacing(catalogue, draws, scenario, n):
                 turned = Rotation.from_quat(pose[3:], scalar_first=True).apply(model.vertices)
                 outlines.append(translate(MultiPoint(turned[:, :2]).convex_hull, *pose[:2]))
             for i, j in itertools.combinations(range(n), 2):
-                assert np.hypot(*(poses[i] - poses[j])[:2]) >= 0.10 - 1e-6
+                apart = config(scenario, n).scenario.spacing
+                assert np.hypot(*(poses[i] - poses[j])[:2]) >= apart - 1e-6
                 assert outlines[i].distance(outlines[j]) >= 0.01 - 1e-6
 
 
@@ -155,6 +157,34 @@ def test_rests_are_drawn_by_their_probability(catalogue):
 
 
 # ------------------------------------------------------------------ each scenario
+
+
+def test_packed_objects_are_close(catalogue, draws):
+    """Nearest neighbours lie within 15 cm, centre to centre; drawn uniformly, they seldom do."""
+    nearest = {}
+    for scenario in ("packed", "random"):
+        gaps = []
+        for episode in draws(scenario, 6):
+            for poses in (episode.start, episode.goal):
+                apart = np.linalg.norm(poses[:, None, :2] - poses[None, :, :2], axis=-1)
+                gaps.append((apart + np.eye(6)).min(axis=1))
+        nearest[scenario] = np.concatenate(gaps)
+    assert nearest["packed"].max() < 0.15
+    assert nearest["packed"].mean() < 0.8 * nearest["random"].mean()
+
+
+def test_packed_takes_the_nearest_free_place():
+    """Discs of 2 cm radius, 5 mm apart: seven fit into a hexagon of 45 mm around the first."""
+    disc = Point(0.0, 0.0).buffer(0.02)
+    env = replace(config("packed", 6), scenario=real_config("scenario=packed").env.scenario)
+    env = replace(env, scenario=replace(env.scenario, spacing=0.0, max_tries=20_000))
+    shapes = (disc,) * 7
+    situation = Situation(start=shapes, goal=shapes, categories=("any",) * 7)
+    layout = Packed(env.scenario, env.arena).draw(np.random.default_rng(1), situation)
+    for points in (layout.start, layout.goal):
+        spread = np.linalg.norm(points - points[0], axis=1)
+        assert 0.0445 < spread[1] < 0.05  # a disc is a polygon here
+        assert spread.max() < 0.10
 
 
 @pytest.mark.parametrize("n", range(2, 7))

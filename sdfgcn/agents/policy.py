@@ -143,7 +143,7 @@ def trained_agent(config: Config) -> QAgent:
             f"with at most {most}, and model={about['model']['name']} has inputs of its own for "
             "each object; ask for fewer, or take a model with a graph."
         )
-    return QAgent(network)
+    return QAgent(network.for_task(config))
 
 
 def trained_objects(about: Mapping[str, Any]) -> int | None:

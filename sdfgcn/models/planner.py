@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from sdfgcn.config import at_least, positive
+from sdfgcn.config import at_least, one_of, positive
 
 
 @dataclass
@@ -19,12 +19,16 @@ class PlannerConfig:
         aim: Distance from the goal at which an object needs no more pushes, metres.
         away: Pushes that an object costs for not being at its goal, besides those for its distance.
         risk: Pushes that an object out of range costs.
+        depth: Pushes that it looks ahead, 1 or 2.
+        width: Pushes after which it looks for a second one: the most valuable.
     """
 
     push: float = positive()
     aim: float = at_least(0)
     away: float = at_least(0)
     risk: float = at_least(0)
+    depth: int = one_of(1, 2)
+    width: int = at_least(1)
 
 
 def pushes_needed(

@@ -57,16 +57,22 @@ class PolarMaps(nn.Module):
         """The points [*B, R, A, 2] on the table around [*B, 2], metres."""
         return center[..., None, None, :] + self.around  # type: ignore[operator]
 
-    def distances(self, sdf: Tensor, points: Tensor) -> Tensor:
+    def distances(self, sdf: Tensor, points: Tensor, shift: Tensor | None = None) -> Tensor:
         """Signed distances at points on the table.
 
         Args:
             sdf: [B, K, H, W] signed distance fields, pixels.
             points: [B, I, R, A, 2] points, metres.
+            shift: [B, K, 2] how far each object has moved since the picture, metres; None if none
+                has.
 
         Returns:
             [B, I, K, R, A] metres, negative inside. Beyond the picture's edge, those of the edge.
         """
+        if shift is not None:  # each object is a picture of its own, seen from points of its own
+            points = (points[:, None] - shift[:, :, None, None, None]).flatten(0, 1)
+            values = self.distances(sdf.flatten(0, 1)[:, None], points)
+            return values.squeeze(2).unflatten(0, sdf.shape[:2]).transpose(1, 2)
         pixels, scale = self._projected(points)
         batch, n, rings, angles, _ = points.shape
         grid = (2.0 / self.camera.size * pixels - 1.0).reshape(batch, n * rings, angles, 2)

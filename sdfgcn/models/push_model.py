@@ -6,6 +6,7 @@ are needed after a push, less the risk that it moves something out of range.
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass, field, replace
 from typing import ClassVar, NamedTuple
@@ -13,7 +14,7 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from sdfgcn.config import ArenaConfig, QNetworkConfig, at_least, one_of, positive
+from sdfgcn.config import ArenaConfig, Config, QNetworkConfig, at_least, one_of, positive
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.models.planner import PlannerConfig, pushes_needed, risk_of_leaving
 from sdfgcn.models.polar import PolarConv, PolarMaps, in_all_directions, reflected
@@ -121,22 +122,31 @@ class PushModel(QNetwork):
 
     # ------------------------------------------------------------------ prediction
 
-    def moves(self, scene: Scene, rows: Tensor | None = None) -> Moves:
+    def moves(
+        self,
+        scene: Scene,
+        rows: Tensor | None = None,
+        mirrored: bool = True,
+        shift: Tensor | None = None,
+    ) -> Moves:
         """Predict what each push moves, and where to.
 
         Args:
             scene: Current scenes [B].
             rows: int64 [B, I] the objects that are pushed; None for all, so that I = N.
+            mirrored: Whether to average over both mirror images. Without, it takes half the time,
+                for training with scenes that are mirrored at random.
+            shift: [B, N, 2] how far objects are from where the scenes show them, metres; None if
+                they are there.
         """
-        return self._moves(scene.sdf, scene.center, scene.node_mask, rows)
-
-    def _moves(self, sdf: Tensor, center: Tensor, occupied: Tensor, rows: Tensor | None) -> Moves:
+        sdf, occupied = scene.sdf, scene.node_mask
+        center = scene.center if shift is None else scene.center + shift
         batch, n = occupied.shape
         if rows is None:
             rows = torch.arange(n, device=occupied.device).expand(batch, n)
         pushed = rows[..., None].expand(-1, -1, 2)
         points = self.maps.points(center.gather(1, pushed))
-        fields = self.maps.distances(sdf, points)  # [B, I, N, R, A]
+        fields = self.maps.distances(sdf, points, shift)  # [B, I, N, R, A]
         fields = fields.masked_fill(~occupied[:, None, :, None, None], torch.inf)
         own = torch.zeros_like(fields[:, :, :, 0, 0], dtype=torch.bool).scatter_(
             2, rows[..., None], True
@@ -148,7 +158,7 @@ class PushModel(QNetwork):
         around = self._cut(torch.stack([mine, others, self.maps.inside_by(points)], dim=2))
         some = near.any(dim=-1)
         mean, log_deviation = self._displacements(
-            around[some], self._cut(fields[near]), _ranks(near, some)
+            around[some], self._cut(fields[near]), _ranks(near, some), mirrored
         )
         deviation = self._config.deviation_min + self._config.unit * log_deviation.exp()
         directions = self.n_directions
@@ -163,7 +173,9 @@ class PushModel(QNetwork):
     def _cut(self, distances: Tensor) -> Tensor:
         return (distances / self._config.cut).clamp(-1.0, 1.0)
 
-    def _displacements(self, around: Tensor, asked: Tensor, ranks: Tensor) -> tuple[Tensor, Tensor]:
+    def _displacements(
+        self, around: Tensor, asked: Tensor, ranks: Tensor, mirrored: bool = True
+    ) -> tuple[Tensor, Tensor]:
         """Displacements in the frame of each push, in units.
 
         Args:
@@ -171,11 +183,14 @@ class PushModel(QNetwork):
                 all others, and to the border of the allowed region.
             asked: [P, R, A] the objects that may move, around the pushed ones.
             ranks: int64 [P] which of the Q objects is pushed.
+            mirrored: See `moves`.
 
         Returns:
             mean [P, D, 2] and log deviation [P, D].
         """
         plain = self._one_sided(around, asked, ranks)
+        if not mirrored:
+            return plain[..., :2], plain[..., 2]
         mirror = self._one_sided(reflected(around), reflected(asked), ranks)
         # Seen in a mirror, the push in direction k heads in direction -k and its left is right.
         mirror = mirror.transpose(1, 2).flip(-1).roll(1, dims=-1).transpose(1, 2)
@@ -189,21 +204,58 @@ class PushModel(QNetwork):
 
     # ------------------------------------------------------------------ planning
 
+    def for_task(self, config: Config) -> PushModel:
+        """See `QNetwork`: the same weights, with the planner and the threshold of the config."""
+        model = config.model
+        planner = model.planner if isinstance(model, PushModelConfig) else self._config.planner
+        other = copy.copy(self)
+        other._config = replace(
+            self._config, planner=planner, success_threshold=config.env.success_threshold
+        )
+        return other
+
     def action_values(self, scene: Scene, goal: Scene, matched: Tensor) -> Tensor:
         """See `QNetwork`: the pushes saved by each push, as its planner expects."""
-        planner, threshold = self._config.planner, self._config.success_threshold
         moves = self.moves(scene)
-        center, target = scene.center, goal.center
+        saved = self._saved(scene.center, goal.center, matched, moves)
+        if self._config.planner.depth == 2:
+            saved = saved + self._saved_next(scene, goal, matched, moves, saved)
+        return saved * scene.node_mask[..., None]
+
+    def _saved(self, center: Tensor, target: Tensor, matched: Tensor, moves: Moves) -> Tensor:
+        """The pushes saved by each push [B, N, D] of objects at [B, N, 2] with goals [B, N, 2]."""
+        planner, threshold = self._config.planner, self._config.success_threshold
         here = center - target
         then = here[:, None, :, None] + moves.mean  # [B, N, N, D, 2]
-        before = pushes_needed(planner, threshold, here.norm(dim=-1), moves.mean.new_zeros(()))
+        before = pushes_needed(planner, threshold, here.norm(dim=-1), here.new_zeros(()))
         after = pushes_needed(planner, threshold, then.norm(dim=-1), moves.deviation)
-        saved = (before[:, None, :, None] - after) * matched[:, None, :, None]
-        ends = center[:, None, :, None] + moves.mean
-        risk = risk_of_leaving(self.maps.inside_by(ends), moves.deviation)
-        risk = risk * moves.near[..., None]
-        values = saved.sum(dim=2) - planner.risk * risk.sum(dim=2)
-        return values * scene.node_mask[..., None]
+        saved = (before[:, None, :, None] - after) * (matched[:, None] & moves.near)[..., None]
+        ends = self.maps.inside_by(center[:, None, :, None] + moves.mean)
+        risk = risk_of_leaving(ends, moves.deviation) * moves.near[..., None]
+        return (saved - planner.risk * risk).sum(dim=2)
+
+    def _saved_next(
+        self, scene: Scene, goal: Scene, matched: Tensor, moves: Moves, saved: Tensor
+    ) -> Tensor:
+        """The pushes saved by the best second push after each of the best ones; 0 after others."""
+        n, count = saved.shape[1], len(saved)
+        first = saved.masked_fill(~scene.node_mask[..., None], -torch.inf).flatten(1)
+        width = min(self._config.planner.width, first.shape[1])
+        best = first.topk(width).indices  # [B, K]
+        rows, directions = best // self.n_directions, best % self.n_directions
+        each = torch.arange(count, device=best.device)[:, None]
+        shift = moves.mean[each, rows, :, directions].flatten(0, 1)  # [B K, N, 2]
+        after = scene.repeat_interleave(width, dim=0)
+        later = self._saved(
+            after.center + shift,
+            goal.center.repeat_interleave(width, dim=0),
+            matched.repeat_interleave(width, dim=0),
+            self.moves(after, shift=shift),
+        )
+        later = later.masked_fill(~after.node_mask[..., None], 0.0).flatten(1).amax(dim=1)
+        gained = torch.zeros_like(saved).flatten(1)
+        gained.scatter_(1, best, later.clamp_min(0.0).unflatten(0, (count, width)))
+        return gained.unflatten(1, (n, self.n_directions))
 
 
 def _ranks(near: Tensor, some: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
-from sdfgcn.config import QNetworkConfig
+from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.task.scene import Scene
 
 ASKED = "asked"  # the key of the one action whose value is asked for
@@ -64,6 +64,10 @@ class QNetwork(TensorDictModuleBase):
         else:
             values = self.row_values(*scenes, flat, asked.reshape(-1) // self.n_directions)
         return tensordict.set("action_value", values.reshape(*batch, n * self.n_directions))
+
+    def for_task(self, config: Config) -> QNetwork:
+        """The network for evaluations of a config; one that plans has settings that may differ."""
+        return self
 
     @abstractmethod
     def action_values(self, scene: Scene, goal: Scene, matched: Tensor) -> Tensor:

@@ -114,7 +114,7 @@ def _predicted(
     """
     scene, after, action = batch["scene"], batch["next", "scene"], batch["action"]
     rows, direction = action // network.n_directions, action % network.n_directions
-    moves = network.moves(scene, rows[:, None])
+    moves = network.moves(scene, rows[:, None], mirrored=False)
     each = torch.arange(len(rows), device=rows.device)
     mean = moves.mean[each, 0, :, direction]
     deviation = moves.deviation[each, 0, :, direction]
