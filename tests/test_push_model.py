@@ -23,7 +23,7 @@ from sdfgcn.task.scene import Scene
 from sdfgcn.train.displacement import DisplacementLearner
 
 D, SIZE = 8, 96
-PLANNER = PlannerConfig(push=0.05, aim=0.03, away=1.0, risk=10.0, depth=1, width=4)
+PLANNER = PlannerConfig(push=0.05, aim=0.03, away=1.0, noise=0.0, risk=10.0, depth=1, width=4)
 
 
 def config() -> Any:
@@ -185,6 +185,10 @@ def test_pushes_needed_by_hand():
     # Where nothing is known but that the threshold is as likely passed as not:
     unsure = pushes_needed(PLANNER, 0.05, torch.tensor([0.05]), torch.tensor([0.02]))
     assert float(unsure) == pytest.approx(0.4 + 0.5)
+    # One standard deviation inside the threshold: a chance of 15.9% that it is not there.
+    noisy = replace(PLANNER, noise=0.01)
+    seems = pushes_needed(noisy, 0.05, torch.tensor([0.04]), torch.zeros(1))
+    assert float(seems) == pytest.approx(0.2 + 0.1587, abs=1e-4)
 
 
 def test_risk_by_hand():

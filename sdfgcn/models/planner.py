@@ -18,6 +18,8 @@ class PlannerConfig:
         push: Distance by which a push brings an object nearer, metres.
         aim: Distance from the goal at which an object needs no more pushes, metres.
         away: Pushes that an object costs for not being at its goal, besides those for its distance.
+        noise: Standard deviation of the distance between two masks' centres from that between the
+            objects, metres: an object may not be at its goal though it seems so.
         risk: Pushes that an object out of range costs.
         depth: Pushes that it looks ahead, 1 or 2.
         width: Pushes after which it looks for a second one: the most valuable.
@@ -26,6 +28,7 @@ class PlannerConfig:
     push: float = positive()
     aim: float = at_least(0)
     away: float = at_least(0)
+    noise: float = at_least(0)
     risk: float = at_least(0)
     depth: int = one_of(1, 2)
     width: int = at_least(1)
@@ -40,10 +43,11 @@ def pushes_needed(
         config: The terms.
         threshold: Distance within which it is at its goal, metres.
         distance: [...] predicted distance to its goal, metres.
-        deviation: [...] standard deviation of the prediction, metres; 0 where it is known.
+        deviation: [...] standard deviation of the prediction, metres; 0 where it is seen.
     """
     way = (distance - config.aim).clamp_min(0.0) / config.push
-    return way + config.away * _above(distance - threshold, deviation)
+    unsure = (deviation.square() + config.noise**2).sqrt()
+    return way + config.away * _above(distance - threshold, unsure)
 
 
 def risk_of_leaving(inside_by: Tensor, deviation: Tensor) -> Tensor:
