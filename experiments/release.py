@@ -25,6 +25,17 @@ from sdfgcn.files import write_text
 from sdfgcn.train.progress import read_curve
 
 POINTS = 12  # rows of the learning curve in the card
+_CONDITIONS = (
+    *("env", "scenario", "success_threshold", "n_objects", "split"),
+    *("perception", "epsilon", "loop_distance"),
+)
+# What a model does not know, for its card.
+_LIMITS = {
+    "push_model": "**What it does not know:** the height and the weight of objects, so whether one "
+    "tips over or rolls on; which side of an object the mask hides; whether the tool, coming down, "
+    "will touch a taller neighbour. It learned the gripper's pushes of 60 mm and the camera of "
+    "`env.arena`; with others it has to be trained again."
+}
 
 
 def card(name: str, about: dict[str, Any], curve: Sequence[dict], rows: Sequence[dict]) -> str:
@@ -46,8 +57,7 @@ def card(name: str, about: dict[str, Any], curve: Sequence[dict], rows: Sequence
                 f"- **Model:** {about['model']['name']}, {about['directions']} directions.",
                 f"- **Training:** seed {about['seed']}, commit {commit_of(about['git'])}; "
                 f"{spent['pushes']} pushes, {spent['updates']} updates of "
-                f"{training['train.batch_size']} transitions, {spent['hours']:.1f} hours on one "
-                "core, which other work shared.",
+                f"{training['train.batch_size']} transitions, {spent['hours']:.2f} hours.",
                 f"- **World:** env={training['train.env.name']}, objects="
                 f"{training['train.env.objects.name']} (split {training['train.env.split']}), "
                 f"{', '.join(map(str, counts))} objects "
@@ -58,7 +68,8 @@ def card(name: str, about: dict[str, Any], curve: Sequence[dict], rows: Sequence
         ),
         _curve(curve),
         "Success and out of range in training: the last 100 episodes, random pushes included.",
-        "**On held-out objects:**",
+        *([_LIMITS[kind]] if (kind := about["model"]["name"]) in _LIMITS else []),
+        "**On held-out objects** (loop distance and threshold in metres):",
         _results(rows),
         "In brackets: 95% intervals, see the README. Licence: MIT, as the project.",
     ]
@@ -86,14 +97,14 @@ def _share(text: str) -> str:
 
 
 def _results(rows: Sequence[dict]) -> str:
-    heads = ("objects", "split", "perception", "epsilon", "loop distance (m)", "seeds")
-    heads = (*heads, "episodes", "success", "pushes", "error (mm)", "out of range")
+    heads = [key.replace("_", " ") for key in _CONDITIONS]
+    heads += ["seeds", "episodes", "success", "pushes", "error (mm)", "out of range"]
     return markdown_table(
         heads,
         [
             [
-                *(str(row[key]) for key in ("n_objects", "split", "perception", "epsilon")),
-                *(str(row["loop_distance"] or "-"), str(len(row["seeds"])), str(row["episodes"])),
+                *("-" if row[key] is None else str(row[key]) for key in _CONDITIONS),
+                *(str(len(row["seeds"])), str(row["episodes"])),
                 percent(row["success_rate"], row["success_rate_ci95"]),
                 decimal(row["pushes"], row["pushes_ci95"]),
                 decimal(row["error_mm"], row["error_mm_ci95"]),

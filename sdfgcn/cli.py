@@ -70,10 +70,30 @@ def run(cfg: DictConfig) -> float | None:
     if cfg.experiment.name != "none":
         _run_in_comparison(cfg, job)
         return None
-    with RunFolder(Path(job.runtime.output_dir), cfg, job.overrides.task) as folder:
-        results = run_experiment(_checked(cfg), folder)
-    print(f"{text(results)}\nRun folder: {folder.path}")
+    folder = Path(job.runtime.output_dir)
+    results = _evaluated(cfg, folder, job)
+    beside = [_evaluated(other, folder / "baseline", job) for other in _baseline(cfg)]
+    print(f"{text(results, beside)}\nRun folder: {folder}")
     return results["success_rate"]
+
+
+def _evaluated(cfg: DictConfig, path: Path, job: Any) -> dict[str, Any]:
+    with RunFolder(path, cfg, job.overrides.task) as folder:
+        return run_experiment(_checked(cfg), folder)
+
+
+def _baseline(cfg: DictConfig) -> Iterator[DictConfig]:
+    """The config of the agent that plays the same scenes, if one is asked for."""
+    name = cfg.eval.baseline
+    if name is None or name == cfg.model.name:
+        return
+    changes = {"model": {"name": name}, "checkpoint": None, "viz": {"name": "none", "episodes": 0}}
+    other = cfg.copy()
+    with open_dict(other):
+        for key, value in changes.items():
+            other[key] = value
+        other.eval.baseline = None
+    yield other
 
 
 def _checked(cfg: DictConfig) -> Config:

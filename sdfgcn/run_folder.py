@@ -28,7 +28,7 @@ from sdfgcn.files import write_json, write_text
 # Keys that change how a run is executed or shown, but not its episodes.
 _FREE_KEYS = (
     *("runtime.", "viz.", "logger.", "experiment.", "eval.name", "eval.episodes"),
-    *("env.reward.name", "train.env.reward.name"),
+    *("eval.baseline", "env.reward.name", "train.env.reward.name"),
 )
 
 

@@ -131,9 +131,7 @@ def test_a_mirror_image_mirrors_the_pushes():
 
 def test_displacements_turn_with_the_world():
     """Discs in the middle of a wide table, turned by a direction: the displacements turn too."""
-    wide = replace(
-        config().model.arena, range_x=[-5.0, 5.0], range_y=[-5.0, 5.0]
-    )  # no border near
+    wide = replace(config().model.arena, range_x=[-5.0, 5.0], range_y=[-5.0, 5.0])  # no border near
     net = network(arena=wide)
     net.eval()
     objects = torch.tensor([[0.0, 0.04], [0.09, 0.06], [-0.02, 0.16]])
@@ -259,7 +257,10 @@ def test_it_learns_where_pushes_lead():
     for _ in range(40):
         places = torch.rand(8, 2, generator=generator) * 0.2 - 0.1
         scenes = torch.cat(
-            [discs((float(x), float(y), 0.03), (float(x) + 0.09, float(y), 0.03)) for x, y in places]
+            [
+                discs((float(x), float(y), 0.03), (float(x) + 0.09, float(y), 0.03))
+                for x, y in places
+            ]
         )
         action = torch.randint(2 * D, (8,), generator=generator)
         angle = (action % D) * (2.0 * math.pi / D)

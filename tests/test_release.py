@@ -56,7 +56,7 @@ def test_weights_and_card(trained: Path) -> None:
     network, about = load_network(released)
     assert (about["seed"], network.max_objects) == (4, 3)
     card = (released / "README.md").read_text()
-    assert "seed 4, commit cccccccccc; 90 pushes, 7 updates of 32 transitions, 0.2 hours" in card
+    assert "seed 4, commit cccccccccc; 90 pushes, 7 updates of 32 transitions, 0.25 hours" in card
     assert "| 90 | 0 | 0.00 | 0 | 75% | - | 0 |" in card
     assert "| 3 | test | vision | 0.1 | - | 2 | 400 | 50% [40, 60] | - | 30.0 | 25% |" in card
     assert card.count("| 3 | test |") == 1

@@ -25,7 +25,11 @@ from sdfgcn.evaluation.statistics import (
 Row = dict[str, Any]
 
 # What `results.json` says of the conditions.
-_CONDITIONS = ("n_objects", "split", "perception", "epsilon", "loop_distance")
+_CONDITIONS = (
+    *("env", "scenario", "success_threshold", "n_objects", "split"),
+    *("perception", "epsilon", "loop_distance"),
+)
+_COLUMNS = _CONDITIONS[:5]  # of the conditions, those with a column where they vary
 WITHIN = 25  # points of a curve of success within k pushes
 
 
@@ -156,7 +160,7 @@ def _help(row: Row) -> str:
 
 
 def _table(experiment: ComparisonConfig, found: Sequence[Row], conditions: bool = False) -> str:
-    own = [key for key in ("split", "n_objects") if len({row[key] for row in found}) > 1]
+    own = [key for key in _COLUMNS if len({row[key] for row in found}) > 1]
     heads = ["method", *(key.replace("_", " ") for key in own)]
     heads += ["perception", "help"] if conditions else []
     heads += ["seeds"]

@@ -30,6 +30,7 @@ class EvalConfig:
     split: str = one_of(*SPLITS)
     epsilon: float = fraction()
     loop_distance: float | None = at_least(0, default=None)
+    baseline: str | None = None
 
 
 @dataclass

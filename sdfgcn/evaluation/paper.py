@@ -37,6 +37,8 @@ _TABLE_I: dict[str, dict[str, _Figures]] = {
     "sdfgcn": {"train": (0.80, 35.0, 29.5), "test": (0.80, 34.6, 31.3)},
 }
 
+MODELS = frozenset(_TABLE_I)  # what the paper has figures for, as options of `conf/model/`
+
 # Table II: test objects, by their number. For 3 objects, the rows of the rule-based agent and of
 # SDFGCN-fixed repeat table I.
 _TABLE_II: dict[str, dict[int, _Figures]] = {

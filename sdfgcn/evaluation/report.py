@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from sdfgcn.evaluation.paper import paper_figure
+from sdfgcn.evaluation.paper import MODELS, paper_figure
 
 Results = Mapping[str, Any]  # the content of `results.json`
 Interval = Sequence[float]
@@ -85,14 +85,23 @@ def _said(row: Results, keys: Iterable[str]) -> str:
 # ------------------------------------------------------------------ one run, as text
 
 
-def text(results: Results) -> str:
-    """Format an evaluation (its `results.json`) as an aligned row above the paper's."""
+def text(results: Results, beside: Sequence[Results] = ()) -> str:
+    """Format an evaluation (its `results.json`) as an aligned row above those of the paper.
+
+    Args:
+        results: The evaluation.
+        beside: Evaluations of other agents under the same conditions, a row each.
+    """
     rows = [
         ["", "episodes", *(head for _, head, _ in _FIGURES)],
         [f"{results['model']} (this run)", str(results["episodes"]), *_figures(results)],
     ]
-    figure = paper(results)
-    if figure is not None:
+    for other in beside:
+        rows.append([f"{other['model']} (same scenes)", str(other["episodes"]), *_figures(other)])
+    told = results
+    if results["model"] not in MODELS:  # a method of our own stands above the paper's best
+        told = {**results, "model": "sdfgcn", "curriculum": "on"}
+    for figure in filter(None, map(paper, (told, *beside))):
         episodes = "200" if figure["table"] == "table I" else "-"
         rows.append([f"{figure['method']} (paper, {figure['table']})", episodes, *_figures(figure)])
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]

@@ -31,6 +31,7 @@ def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) 
         "n_objects": config.env.n_objects,
         "robot": config.env.robot.name,
         "scenario": config.env.scenario.name,
+        "success_threshold": config.env.success_threshold,
         "perception": config.env.perception.name,
         "checkpoint": config.checkpoint,
         "epsilon": config.eval.epsilon,

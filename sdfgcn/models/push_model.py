@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from sdfgcn.config import ArenaConfig, Config, QNetworkConfig, at_least, one_of, positive
+from sdfgcn.config import ArenaConfig, Config, QNetworkConfig, at_least, positive
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.models.planner import PlannerConfig, pushes_needed, risk_of_leaving
 from sdfgcn.models.polar import PolarConv, PolarMaps, in_all_directions, reflected
@@ -188,17 +188,21 @@ class PushModel(QNetwork):
         Returns:
             mean [P, D, 2] and log deviation [P, D].
         """
-        plain = self._one_sided(around, asked, ranks)
         if not mirrored:
-            return plain[..., :2], plain[..., 2]
-        mirror = self._one_sided(reflected(around), reflected(asked), ranks)
+            outputs = self._one_sided(around, asked, ranks)
+            return outputs[..., :2], outputs[..., 2]
+        plain, mirror = self._one_sided(  # in one batch, which is faster than two
+            torch.cat([around, reflected(around)]),
+            torch.cat([asked, reflected(asked)]),
+            torch.cat([ranks, ranks + len(around)]),
+        ).chunk(2)
         # Seen in a mirror, the push in direction k heads in direction -k and its left is right.
-        mirror = mirror.transpose(1, 2).flip(-1).roll(1, dims=-1).transpose(1, 2)
-        signs = mirror.new_tensor([1.0, -1.0, 1.0])
-        both = 0.5 * (plain + mirror * signs)
+        mirror = mirror.flip(1).roll(1, dims=1) * mirror.new_tensor([1.0, -1.0, 1.0])
+        both = 0.5 * (plain + mirror)
         return both[..., :2], both[..., 2]
 
     def _one_sided(self, around: Tensor, asked: Tensor, ranks: Tensor) -> Tensor:
+        """[P, D, 3] displacement and log deviation, without averaging over mirror images."""
         features = torch.cat([self.trunk(around)[ranks], self.asked(asked[:, None])], dim=1)
         return self.head(in_all_directions(self.pair(features), self.n_directions))
 

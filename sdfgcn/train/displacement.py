@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
+from typing import Any, cast
 
 import torch
 from tensordict import TensorDictBase
@@ -27,7 +27,7 @@ class DisplacementLearner:
     2022).
     """
 
-    metrics = ("loss", "error_mm", "moved_mm", "explained")
+    metrics: tuple[str, ...] = ("loss", "error_mm", "moved_mm", "explained")
 
     def __init__(
         self, network: PushModel, actions: Categorical, train: TrainConfig, device: str
@@ -82,7 +82,7 @@ class DisplacementLearner:
     @property
     def averaged(self) -> PushModel:
         """A CPU copy of the network with the exponential moving average of its weights."""
-        return copy.deepcopy(self._average.module).cpu()
+        return cast(PushModel, copy.deepcopy(self._average.module).cpu())
 
     def state_dict(self) -> dict[str, Any]:
         """Network, averaged weights, optimiser and counter, for a checkpoint."""

@@ -33,7 +33,7 @@ TRIAL_BATCH = 4  # transitions per timed update
 class Learner:
     """Holds everything that an update changes: networks, averaged weights and optimiser."""
 
-    metrics = ("loss",)
+    metrics: tuple[str, ...] = ("loss",)
 
     def __init__(
         self,

@@ -19,15 +19,17 @@ class AnyLearner(Protocol):
 
     Attributes:
         metrics: The names of what `update` returns.
-        network: Trained in place.
         updates: Updates so far.
         precision: In which it computes; None before the first update.
     """
 
     metrics: tuple[str, ...]
-    network: Any
     updates: int
     precision: str | None
+
+    @property
+    def network(self) -> Any:
+        """The network, trained in place."""
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Learn from [B] transitions; return metrics by name."""

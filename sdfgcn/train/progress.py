@@ -45,9 +45,7 @@ class Progress:
         self._logger = logger
         self._log_pushes = log_pushes
         self._metrics = metrics
-        self._recent = {
-            name: deque[float](maxlen=WINDOW) for name in (*_OF_EPISODES, *metrics)
-        }
+        self._recent = {name: deque[float](maxlen=WINDOW) for name in (*_OF_EPISODES, *metrics)}
         self._return: dict[int, float] = {}  # of unfinished episodes so far, by trajectory
         self._carried = 0.0  # return so far of the checkpoint's unfinished episode
         self._last_row = (self._began, 0, 0)  # time, pushes and updates at the last row
