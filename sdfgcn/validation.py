@@ -123,7 +123,7 @@ def validate(config: Config) -> None:
             f"checkpoint is '{config.checkpoint}', but model={config.model.name} has no weights to "
             "load; leave it out, or pick the model that the checkpoint was trained for."
         )
-    if not trained and config.curriculum.name != "off":
+    if not trained and config.curriculum.name not in ("off", config.model.own_curriculum):
         raise SdfgcnError(
             f"curriculum={config.curriculum.name} has no effect, as nothing is trained; leave it "
             "out, or train with model=sdfgcn and without a checkpoint."

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from sdfgcn.config.base import ComponentConfig, check_ranges
 
@@ -13,7 +13,13 @@ if TYPE_CHECKING:
 
 @dataclass
 class ModelConfig(ComponentConfig):
-    """The method that picks the push (`conf/model/`); each one adds its own keys."""
+    """The method that picks the push (`conf/model/`); each one adds its own keys.
+
+    Attributes:
+        own_curriculum: The option of `conf/curriculum/` that its YAML picks, if it picks one.
+    """
+
+    own_curriculum: ClassVar[str] = "off"
 
 
 @dataclass

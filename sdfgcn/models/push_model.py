@@ -41,6 +41,8 @@ class PushModelConfig(QNetworkConfig):
         arena: The camera and the allowed region.
     """
 
+    own_curriculum: ClassVar[str] = "many"
+
     rings: int = at_least(4)
     angles: int = at_least(8)
     radius: float = positive()
