@@ -176,6 +176,18 @@ def test_table_stands_beside_the_paper() -> None:
     assert "(paper, " not in text(results | {"scenario": "swap"})
 
 
+def test_another_agent_stands_beside() -> None:
+    """A method that the paper does not have stands above the paper's best, and the rule's row."""
+    config = real_config("model=push_model", "checkpoint=push_model")
+    results = summarise(config, [episode(0)], wall_s=1.0)
+    other = summarise(real_config("model=rule_based"), [episode(0, success=False)], wall_s=1.0)
+    _, _, ours, beside, best, rule, _ = text(results, [other]).splitlines()
+    assert ours.startswith("push_model (this run)") and "100% [21, 100]" in ours
+    assert beside.startswith("rule_based (same scenes)") and "0% [0, 79]" in beside
+    assert best.startswith("SDFGCN-curriculum (paper, table II)") and "83%" in best
+    assert rule.startswith("rule_based (paper, table II)") and "69%" in rule
+
+
 def test_cells_of_a_table() -> None:
     assert percent(0.932) == "93%"
     assert percent(0.932, [0.9064, 0.951], digits=1) == "93.2% [90.6, 95.1]"

@@ -103,12 +103,18 @@ def test_the_default_evaluates_released_weights(tmp_path: Path) -> None:
     shrunk = ("objects=household", "env.pushes_per_object=2", "eval.episodes=1")
     done = run(*shrunk, "runtime.workers=0", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
-    assert "sdfgcn (this run)" in done.stdout
+    assert "push_model (this run)" in done.stdout
+    assert "rule_based (same scenes)" in done.stdout
+    assert "rule_based (paper, table II)" in done.stdout
     assert not (tmp_path / "train.csv").exists()
+    beside = json.loads((tmp_path / "baseline" / "results.json").read_text())
+    assert (beside["model"], beside["checkpoint"]) == ("rule_based", None)
     results = json.loads((tmp_path / "results.json").read_text())
     assert (results["model"], results["checkpoint"], results["robot"]) == (
-        *("sdfgcn", "sdfgcn", "ur5e"),
+        *("push_model", "push_model", "ur5e"),
     )
+    same = ("episode_seeds", "epsilon", "loop_distance", "perception")
+    assert [results[key] for key in same] == [beside[key] for key in same]
     assert [path.name for path in (tmp_path / "recordings").iterdir()] == ["episode_000.rrd"]
 
 

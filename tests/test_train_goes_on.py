@@ -75,6 +75,21 @@ def test_hindsight_of_an_unfinished_episode_goes_on(tmp_path: Path) -> None:
     assert same(whole, weights_of(tmp_path / "parts", 35, *future))
 
 
+def test_a_push_model_goes_on_exactly(tmp_path: Path) -> None:
+    """Supervised training too gives the same weights, whether it was stopped or not."""
+    model = ("model=push_model", "curriculum=off", "train.max_utd_ratio=1.0")
+
+    def trained(folder: Path, pushes: int) -> Weights:
+        folder.mkdir(exist_ok=True)
+        config = real_config(*SMALL, *model, f"budget.pushes={pushes}")
+        return train(config, folder, NoLogger(config.logger, folder), q_network).state_dict()
+
+    whole = trained(tmp_path / "whole", 35)
+    early = trained(tmp_path / "parts", 15)
+    assert not same(whole, early)
+    assert same(whole, trained(tmp_path / "parts", 35))
+
+
 @pytest.mark.parametrize(
     ("collector", "changed"), [("sync", "sync"), ("sync", "async"), ("async", "sync")]
 )
