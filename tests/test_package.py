@@ -49,7 +49,7 @@ def test_the_wheel_holds_all_that_a_run_reads(tmp_path: Path) -> None:
     conf = {f"sdfgcn/conf/{path.relative_to(CONF).as_posix()}" for path in CONF.rglob("*.yaml")}
     assert conf == {name for name in names if name.endswith(".yaml")}
     weights = {path.relative_to(ROOT).as_posix() for path in ROOT.glob("sdfgcn/**/*.safetensors")}
-    assert len(weights) == 2
+    assert len(weights) == 3  # two policies and the segmenter
     assert weights < names
     assert {name.split("/")[0].partition("-")[0] for name in names} == {"sdfgcn"}
 
