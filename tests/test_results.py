@@ -174,6 +174,7 @@ def test_table_stands_beside_the_paper() -> None:
     assert head.index("success rate") == ours.index("100% [34, 100]") == paper.index("69%")
     assert head.index("error (mm)") == ours.index("25.0 [") == paper.index("28.8")
     assert "(paper, " not in text(results | {"scenario": "swap"})
+    assert "(paper, " not in text(results | {"success_threshold": 0.025})
 
 
 def test_another_agent_stands_beside() -> None:
