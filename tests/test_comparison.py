@@ -22,6 +22,7 @@ from sdfgcn.run_folder import is_done
 from sdfgcn.validation import typed
 
 EXPERIMENTS = sorted({path.stem for path in (CONF / "experiment").glob("*.yaml")} - {"none"})
+PAPER_S = ("table1", "table2")  # the experiments of the paper
 TWO_CELLS: list[dict[str, list[Any]]] = [{"n_objects": [3], "eval": ["default", "greedy"]}]
 
 
@@ -43,7 +44,10 @@ def test_every_run_of_an_experiment_composes(name: str) -> None:
     for cell in cells(plan.experiment):
         config = real_config(*plan.evaluation(method, 2, cell, Path("a b")))
         assert (config.seed, config.eval.episodes) == (2, 200)
-        assert (config.model, config.checkpoint) == (trained.model, "a b")
+        model = config.model
+        if "env.success_threshold" in cell:  # a planner knows what it is to achieve
+            model = replace(model, success_threshold=trained.env.success_threshold)
+        assert (model, config.checkpoint) == (trained.model, "a b")
         assert config.eval.name == cell["eval"]
 
 
@@ -54,10 +58,10 @@ def test_all_methods_of_an_experiment_are_trained_alike(name: str) -> None:
     learned = [real_config(*plan.training(m, 0)) for m in plan.experiment.methods]
     learned = [config for config in learned if config.model.name != "rule_based"]
     assert len({repr((c.train, c.budget, c.collector, c.her, c.augment)) for c in learned}) == 1
-    assert learned[0].collector.name == "sync"
+    assert learned[0].collector.name == "sync" or name not in PAPER_S
 
 
-@pytest.mark.parametrize("name", EXPERIMENTS)
+@pytest.mark.parametrize("name", PAPER_S)
 def test_the_headline_is_the_paper_s_protocol_for_every_agent(name: str) -> None:
     experiment = plan_of(name).experiment
     main = [cell for cell in cells(experiment) if experiment.headline.items() <= cell.items()]
@@ -196,6 +200,7 @@ def write_cell(
     }
     results = {
         **{"model": method, "split": "test", "n_objects": 3, "scenario": "random"},
+        **{"env": "paper", "success_threshold": 0.05},
         **{"curriculum": "off" if learned else None, "trained_objects": 3 if learned else None},
         **{"epsilon": 0.1, "loop_distance": None, "episodes": len(episodes)},
         **{"perception": "vision", "checkpoint": "x" if learned else None},

@@ -18,7 +18,7 @@ from sdfgcn.agents.policy import save_policy
 from sdfgcn.evaluation.episodes import EpisodeResult
 from sdfgcn.models import build_q_network
 from sdfgcn.run_folder import RunFolder
-from sdfgcn.train.progress import COLUMNS
+from sdfgcn.train.progress import columns
 
 ROOT = Path(__file__).parents[1]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
@@ -86,7 +86,7 @@ def test_read_results(kernel: KernelManager, tmp_path: Path) -> None:
         folder.keep(episodes)
         folder.write_results({"model": "sdfgcn", "success_rate": 2 / 3})
         with (folder.path / "train.csv").open("w") as file:
-            csv.writer(file).writerows([COLUMNS, [0.5] * len(COLUMNS)])
+            csv.writer(file).writerows([columns(), [0.5] * len(columns())])
     told = execute(kernel, "results", folders=[str(tmp_path)])
     assert "rule_based" in told
     assert "0.6666" in told

@@ -15,11 +15,12 @@ import release  # noqa: E402
 from sdfgcn.agents.policy import load_network, save_policy  # noqa: E402
 from sdfgcn.files import CsvTable  # noqa: E402
 from sdfgcn.models import build_q_network  # noqa: E402
-from sdfgcn.train.progress import COLUMNS  # noqa: E402
+from sdfgcn.train.progress import columns  # noqa: E402
 from sdfgcn.train.training import learning_config  # noqa: E402
 
 ROW = {
     **{"method": "gt_pose_gcn", "n_objects": 3, "split": "test", "perception": "vision"},
+    **{"env": "paper", "scenario": "random", "success_threshold": 0.05},
     **{"epsilon": 0.1, "loop_distance": None, "seeds": [0, 1], "episodes": 400},
     **{"success_rate": 0.5, "success_rate_ci95": [0.4, 0.6], "pushes": None, "pushes_ci95": None},
     **{"error_mm": 30.0, "error_mm_ci95": None, "out_of_range_rate": 0.25},
@@ -38,8 +39,12 @@ def trained(tmp_path: Path) -> Path:
     folder = tmp_path / "training"
     folder.mkdir()
     save_policy(folder / "policy", build_q_network(config.model, 8, 3, 96, 0), about)
-    row = dict.fromkeys(COLUMNS, 0) | {"pushes": 90, "success_rate": 0.75, "out_of_range_rate": ""}
-    CsvTable(folder / "train.csv", COLUMNS).write([row])
+    row = dict.fromkeys(columns(), 0) | {
+        "pushes": 90,
+        "success_rate": 0.75,
+        "out_of_range_rate": "",
+    }
+    CsvTable(folder / "train.csv", columns()).write([row])
     (tmp_path / "table1.json").write_text(json.dumps([ROW, ROW | {"method": "sdfgcn"}]))
     return folder
 
@@ -58,7 +63,8 @@ def test_weights_and_card(trained: Path) -> None:
     card = (released / "README.md").read_text()
     assert "seed 4, commit cccccccccc; 90 pushes, 7 updates of 32 transitions, 0.25 hours" in card
     assert "| 90 | 0 | 0.00 | 0 | 75% | - | 0 |" in card
-    assert "| 3 | test | vision | 0.1 | - | 2 | 400 | 50% [40, 60] | - | 30.0 | 25% |" in card
+    conditions = "| paper | random | 0.05 | 3 | test | vision | 0.1 | - |"
+    assert f"{conditions} 2 | 400 | 50% [40, 60] | - | 30.0 | 25% |" in card
     assert card.count("| 3 | test |") == 1
 
 

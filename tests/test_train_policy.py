@@ -134,7 +134,10 @@ def test_a_policy_of_another_model(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("override", "told"),
     [
-        ("env.push.directions=16", r"env\.push\.directions is 16, but checkpoint=sdfgcn was .* 8;"),
+        (
+            "env.push.directions=16",
+            r"env\.push\.directions is 16, but checkpoint=push_model .* 8;",
+        ),
         ("env.arena.image_size=128", r"env\.arena\.image_size is 128, but .* trained with 96;"),
     ],
 )

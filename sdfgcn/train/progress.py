@@ -22,6 +22,11 @@ _COUNTED = ("pushes", "updates", "episodes", "seconds", "pushes_per_s", "updates
 _OF_EPISODES = ("success_rate", "out_of_range_rate", "episode_pushes", "return")
 
 
+def columns(metrics: tuple[str, ...] = ("loss",)) -> tuple[str, ...]:
+    """The columns of `train.csv`, given the names of the learner's metrics."""
+    return (*_COUNTED, *_OF_EPISODES, *metrics, "epsilon", "n_objects")
+
+
 class Progress:
     """Counts pushes and episodes, averages recent metrics, and shows and logs them."""
 
@@ -39,9 +44,7 @@ class Progress:
         self.pushes = self.episodes = 0
         self._earlier_s = 0.0  # training time before the checkpoint resumed from
         self._began = time.monotonic()
-        self._table = CsvTable(
-            folder / "train.csv", (*_COUNTED, *_OF_EPISODES, *metrics, "epsilon", "n_objects")
-        )
+        self._table = CsvTable(folder / "train.csv", columns(metrics))
         self._logger = logger
         self._log_pushes = log_pushes
         self._metrics = metrics
