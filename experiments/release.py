@@ -19,16 +19,13 @@ from typing import Any
 from common import RESULTS
 
 from sdfgcn.agents.policy import ABOUT, RELEASED, WEIGHTS, find_policy, read_about
+from sdfgcn.comparison.table import CONDITIONS
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.report import commit_of, decimal, markdown_table, percent
 from sdfgcn.files import write_text
 from sdfgcn.train.progress import read_curve
 
 POINTS = 12  # rows of the learning curve in the card
-_CONDITIONS = (
-    *("env", "scenario", "success_threshold", "n_objects", "split"),
-    *("perception", "epsilon", "loop_distance"),
-)
 # What a model does not know, for its card.
 _LIMITS = {
     "push_model": "**What it does not know:** the height and the weight of objects, so whether one "
@@ -97,13 +94,13 @@ def _share(text: str) -> str:
 
 
 def _results(rows: Sequence[dict]) -> str:
-    heads = [key.replace("_", " ") for key in _CONDITIONS]
+    heads = [key.replace("_", " ") for key in CONDITIONS]
     heads += ["seeds", "episodes", "success", "pushes", "error (mm)", "out of range"]
     return markdown_table(
         heads,
         [
             [
-                *("-" if row[key] is None else str(row[key]) for key in _CONDITIONS),
+                *("-" if row[key] is None else str(row[key]) for key in CONDITIONS),
                 *(str(len(row["seeds"])), str(row["episodes"])),
                 percent(row["success_rate"], row["success_rate_ci95"]),
                 decimal(row["pushes"], row["pushes_ci95"]),

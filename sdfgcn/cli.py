@@ -82,18 +82,17 @@ def _evaluated(cfg: DictConfig, path: Path, job: Any) -> dict[str, Any]:
         return run_experiment(_checked(cfg), folder)
 
 
-def _baseline(cfg: DictConfig) -> Iterator[DictConfig]:
-    """The config of the agent that plays the same scenes, if one is asked for."""
+def _baseline(cfg: DictConfig) -> list[DictConfig]:
+    """The config of the agent that plays the same scenes; none if no other one is asked for."""
     name = cfg.eval.baseline
     if name is None or name == cfg.model.name:
-        return
-    changes = {"model": {"name": name}, "checkpoint": None, "viz": {"name": "none", "episodes": 0}}
+        return []
     other = cfg.copy()
     with open_dict(other):
-        for key, value in changes.items():
-            other[key] = value
-        other.eval.baseline = None
-    yield other
+        other.model = {"name": name}
+        other.checkpoint = other.eval.baseline = None
+        other.viz = {"name": "none", "episodes": 0}
+    return [other]
 
 
 def _checked(cfg: DictConfig) -> Config:

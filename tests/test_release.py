@@ -76,3 +76,10 @@ def test_what_is_refused(trained: Path, capsys: pytest.CaptureFixture[str]) -> N
     assert run(trained, "gt_pose_gcn") == 1
     assert "is of an unfinished training" in capsys.readouterr().err
     assert not (trained.parent / "weights").exists()
+
+
+def test_a_damaged_curve_is_refused(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    curve = trained / "train.csv"
+    curve.write_text(curve.read_text() + "1,2\n")
+    assert run(trained, "gt_pose_gcn") == 1
+    assert "train.csv is not a table with the columns pushes," in capsys.readouterr().err

@@ -24,12 +24,9 @@ from sdfgcn.evaluation.statistics import (
 
 Row = dict[str, Any]
 
+_COLUMNS = ("env", "scenario", "success_threshold", "n_objects", "split")  # where they vary
 # What `results.json` says of the conditions.
-_CONDITIONS = (
-    *("env", "scenario", "success_threshold", "n_objects", "split"),
-    *("perception", "epsilon", "loop_distance"),
-)
-_COLUMNS = _CONDITIONS[:5]  # of the conditions, those with a column where they vary
+CONDITIONS = (*_COLUMNS, "perception", "epsilon", "loop_distance")
 WITHIN = 25  # points of a curve of success within k pushes
 
 
@@ -68,7 +65,7 @@ def _row(
     return {
         "method": result.method,
         **result.cell,
-        **{key: first[key] for key in _CONDITIONS},
+        **{key: first[key] for key in CONDITIONS},
         "seeds": list(result.seeds),
         "episodes": outcomes.success.size,
         "limit": outcomes.limit,

@@ -83,6 +83,7 @@ class PushModel(QNetwork):
     """
 
     learner: ClassVar[str] = "displacement"
+    config: PushModelConfig
 
     def __init__(
         self, config: PushModelConfig, n_directions: int, max_objects: int, image_size: int
@@ -98,7 +99,6 @@ class PushModel(QNetwork):
                 f"env.push.directions is {n_directions}, but must divide half of model.angles "
                 f"({config.angles})."
             )
-        self._config = config
         arena = replace(config.arena, image_size=image_size)
         self.maps = PolarMaps(
             arena, config.plane_height, config.rings, config.angles, config.radius
@@ -116,11 +116,6 @@ class PushModel(QNetwork):
         cos, sin = turns.cos(), turns.sin()
         frames = torch.stack([torch.stack([cos, -sin], -1), torch.stack([sin, cos], -1)], -2)
         self.register_buffer("frames", frames, persistent=False)  # [D, 2, 2] push to table
-
-    @property
-    def unit(self) -> float:
-        """The displacement that is one at the output, metres."""
-        return self._config.unit
 
     # ------------------------------------------------------------------ prediction
 
@@ -162,18 +157,18 @@ class PushModel(QNetwork):
         mean, log_deviation = self._displacements(
             around[some], self._cut(fields[near]), _ranks(near, some), mirrored
         )
-        deviation = self._config.deviation_min + self._config.unit * log_deviation.exp()
+        deviation = self.config.deviation_min + self.config.unit * log_deviation.exp()
         directions = self.n_directions
         all_mean = mean.new_zeros(batch, rows.shape[1], n, directions, 2)
         all_deviation = mean.new_full(
-            (batch, rows.shape[1], n, directions), self._config.deviation_min
+            (batch, rows.shape[1], n, directions), self.config.deviation_min
         )
-        all_mean[near] = torch.einsum("dab,pdb->pda", self.frames, mean * self._config.unit)
+        all_mean[near] = torch.einsum("dab,pdb->pda", self.frames, mean * self.config.unit)
         all_deviation[near] = deviation
         return Moves(all_mean, all_deviation, near)
 
     def _cut(self, distances: Tensor) -> Tensor:
-        return (distances / self._config.cut).clamp(-1.0, 1.0)
+        return (distances / self.config.cut).clamp(-1.0, 1.0)
 
     def _displacements(
         self, around: Tensor, asked: Tensor, ranks: Tensor, mirrored: bool = True
@@ -213,10 +208,10 @@ class PushModel(QNetwork):
     def for_task(self, config: Config) -> PushModel:
         """See `QNetwork`: the same weights, with the planner and the threshold of the config."""
         model = config.model
-        planner = model.planner if isinstance(model, PushModelConfig) else self._config.planner
+        planner = model.planner if isinstance(model, PushModelConfig) else self.config.planner
         other = copy.copy(self)
-        other._config = replace(
-            self._config, planner=planner, success_threshold=config.env.success_threshold
+        other.config = replace(
+            self.config, planner=planner, success_threshold=config.env.success_threshold
         )
         return other
 
@@ -224,13 +219,13 @@ class PushModel(QNetwork):
         """See `QNetwork`: the pushes saved by each push, as its planner expects."""
         moves = self.moves(scene)
         saved = self._saved(scene.center, goal.center, matched, moves)
-        if self._config.planner.depth == 2:
+        if self.config.planner.depth == 2:
             saved = saved + self._saved_next(scene, goal, matched, moves, saved)
         return saved * scene.node_mask[..., None]
 
     def _saved(self, center: Tensor, target: Tensor, matched: Tensor, moves: Moves) -> Tensor:
         """The pushes saved by each push [B, N, D] of objects at [B, N, 2] with goals [B, N, 2]."""
-        planner, threshold = self._config.planner, self._config.success_threshold
+        planner, threshold = self.config.planner, self.config.success_threshold
         here = center - target
         then = here[:, None, :, None] + moves.mean  # [B, N, N, D, 2]
         before = pushes_needed(planner, threshold, here.norm(dim=-1), here.new_zeros(()))
@@ -246,7 +241,7 @@ class PushModel(QNetwork):
         """The pushes saved by the best second push after each of the best ones; 0 after others."""
         n, count = saved.shape[1], len(saved)
         first = saved.masked_fill(~scene.node_mask[..., None], -torch.inf).flatten(1)
-        width = min(self._config.planner.width, first.shape[1])
+        width = min(self.config.planner.width, first.shape[1])
         best = first.topk(width).indices  # [B, K]
         rows, directions = best // self.n_directions, best % self.n_directions
         each = torch.arange(count, device=best.device)[:, None]

@@ -76,6 +76,7 @@ def sample_positions(
     regions: Sequence[Region],
     rule: Spacing,
     max_tries: int,
+    middle: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Draw collision-free positions uniformly, one object after another.
 
@@ -85,6 +86,8 @@ def sample_positions(
         regions: n rectangles, one for each object's centre.
         rule: Minimum distances.
         max_tries: Draws per object before giving up.
+        middle: [2] of a cluster, metres: of the free draws, each object takes the nearest to it;
+            None to take the first.
 
     Returns:
         [n, 2] metres.
@@ -96,6 +99,9 @@ def sample_positions(
     placed: list[Polygon] = []
     for shape, region in zip(shapes, regions, strict=True):
         candidates = rng.uniform(region.low, region.high, size=(max_tries, 2))
+        if middle is not None:
+            away = np.linalg.norm(candidates - middle, axis=1)
+            candidates = candidates[np.argsort(away)]
         gaps = np.linalg.norm(candidates[:, None] - points[None, :], axis=-1)
         for candidate in candidates[(gaps >= rule.centers).all(axis=1)]:
             there = translate(shape, *candidate)

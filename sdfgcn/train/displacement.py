@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-import copy
-from typing import Any, cast
-
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
 from torch.nn.functional import smooth_l1_loss
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.data import Categorical
 
 from sdfgcn.config import TrainConfig
 from sdfgcn.models.push_model import PushModel
+from sdfgcn.train.base_learner import BaseLearner
 
 MILLIMETRES = 1000.0
 
 
-class DisplacementLearner:
-    """Holds everything that an update changes: network, averaged weights and optimiser.
+class DisplacementLearner(BaseLearner):
+    """Fits the predicted displacements of a push model to the true ones.
 
     The targets are the true displacements of the objects near the pushed one. The mean is fitted by
     a smooth L1 loss, and the deviation by the likelihood of the errors that the mean makes; if both
@@ -27,21 +24,17 @@ class DisplacementLearner:
     2022).
     """
 
-    metrics: tuple[str, ...] = ("loss", "error_mm", "moved_mm", "explained")
+    network: PushModel
+    metrics = ("loss", "error_mm", "moved_mm", "explained")
+    module_key = "network"
 
     def __init__(
         self, network: PushModel, actions: Categorical, train: TrainConfig, device: str
     ) -> None:
         """Wrap a push model for learning; see `Learner` for the arguments."""
         self._device = torch.device(device)
-        self.network = network.to(self._device)
-        self._train = train
-        self._optimiser = torch.optim.Adam(self.network.parameters(), lr=train.learning_rate)
-        self._average = AveragedModel(
-            self.network, multi_avg_fn=get_ema_multi_avg_fn(train.ema_decay)
-        )
-        self.updates = 0
-        self.precision: str | None = None
+        network = network.to(self._device)
+        super().__init__(network, network, train)
 
     def choose_precision(self, wanted: str, batch: TensorDictBase) -> str:
         """Set the precision: always float32, as the network is small."""
@@ -57,19 +50,14 @@ class DisplacementLearner:
         """
         batch = batch.to(self._device)
         mean, deviation, moved, own, known = _predicted(self.network, batch)
-        unit = self.network.unit
+        unit = self.network.config.unit
         error = (mean - moved) / unit
         spread = deviation / unit
         fit = smooth_l1_loss(error, torch.zeros_like(error), reduction="none").sum(dim=-1)
         squared = error.detach().square().sum(dim=-1)
         likelihood = 2.0 * spread.log() + 0.5 * squared / spread.square()
         loss = (fit + likelihood)[known].mean()
-        self._optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), self._train.max_gradient_norm)
-        self._optimiser.step()
-        self._average.update_parameters(self.network)
-        self.updates += 1
+        self._descend(loss)
         pushed = own & known
         wrong, way = (mean - moved).detach()[pushed], moved[pushed]
         return {
@@ -78,29 +66,6 @@ class DisplacementLearner:
             "moved_mm": MILLIMETRES * float(way.norm(dim=-1).mean()),
             "explained": 1.0 - float(wrong.square().sum() / way.square().sum().clamp_min(1e-9)),
         }
-
-    @property
-    def averaged(self) -> PushModel:
-        """A CPU copy of the network with the exponential moving average of its weights."""
-        return cast(PushModel, copy.deepcopy(self._average.module).cpu())
-
-    def state_dict(self) -> dict[str, Any]:
-        """Network, averaged weights, optimiser and counter, for a checkpoint."""
-        return {
-            "network": self.network.state_dict(),
-            "average": self._average.state_dict(),
-            "optimiser": self._optimiser.state_dict(),
-            "updates": self.updates,
-            "precision": self.precision,
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore the state from a checkpoint."""
-        self.network.load_state_dict(state["network"])
-        self._average.load_state_dict(state["average"])
-        self._optimiser.load_state_dict(state["optimiser"])
-        self.updates = int(state["updates"])
-        self.precision = state["precision"]
 
 
 def _predicted(

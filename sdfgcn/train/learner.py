@@ -17,23 +17,23 @@ from typing import Any
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 from torchrl.data import Categorical
 from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss, HardUpdate
 
 from sdfgcn.config import TrainConfig, lookup
 from sdfgcn.models.q_network import ASKED
+from sdfgcn.train.base_learner import BaseLearner
 
 PRECISIONS = {"float32": None, "bfloat16": torch.bfloat16}
 TRIALS = 2  # timed updates per precision
 TRIAL_BATCH = 4  # transitions per timed update
 
 
-class Learner:
+class Learner(BaseLearner):
     """Holds everything that an update changes: networks, averaged weights and optimiser."""
 
-    metrics: tuple[str, ...] = ("loss",)
+    module_key = "loss"
 
     def __init__(
         self,
@@ -53,11 +53,9 @@ class Learner:
             all_values: Whether to compute all values and leave double DQN to TorchRL's loss: the
                 same up to rounding, but slower; for comparisons.
         """
-        self._train = train
         self._device = torch.device(device)
         # Saves a third of an update's time on a CPU, and changes nothing else.
-        self.network = network.to(self._device).to(memory_format=torch.channels_last)
-        self.precision: str | None = None  # chosen before the first update
+        network = network.to(self._device).to(memory_format=torch.channels_last)
         self._chooser = None if all_values else q_actor(network, actions)
         self._loss = DQNLoss(
             q_actor(network, actions),
@@ -72,12 +70,7 @@ class Learner:
         self._target = HardUpdate(
             self._loss, value_network_update_interval=train.target_interval - 1
         )
-        self._optimiser = torch.optim.Adam(self._loss.parameters(), lr=train.learning_rate)
-        # The greedy policy fluctuates from update to update; that of averaged weights is steadier.
-        self._average = AveragedModel(
-            self.network, multi_avg_fn=get_ema_multi_avg_fn(train.ema_decay)
-        )
-        self.updates = 0
+        super().__init__(network, self._loss, train)
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Learn from [B] transitions.
@@ -87,19 +80,9 @@ class Learner:
         """
         batch = batch.to(self._device)
         loss = self._loss_of(batch)
-        self._optimiser.zero_grad(set_to_none=True)
-        loss.backward()
-        torch.nn.utils.clip_grad_norm_(self._loss.parameters(), self._train.max_gradient_norm)
-        self._optimiser.step()
+        self._descend(loss)
         self._target.step()
-        self._average.update_parameters(self.network)
-        self.updates += 1
         return {"loss": float(loss.detach())}
-
-    @property
-    def averaged(self) -> TensorDictModuleBase:
-        """A CPU copy of the network with the exponential moving average of its weights."""
-        return copy.deepcopy(self._average.module).cpu()
 
     def choose_precision(self, wanted: str, batch: TensorDictBase) -> str:
         """Set the precision; `auto` times both on copies of this learner and picks the faster.
@@ -135,23 +118,9 @@ class Learner:
                 batch = _asked(batch, self._chooser)
             return self._loss(batch)["loss"]
 
-    def state_dict(self) -> dict[str, Any]:
-        """Network, averaged weights, target network, optimiser and counter, for a checkpoint."""
-        return {
-            "loss": self._loss.state_dict(),
-            "average": self._average.state_dict(),
-            "optimiser": self._optimiser.state_dict(),
-            "updates": self.updates,
-            "precision": self.precision,
-        }
-
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the state from a checkpoint."""
-        self._loss.load_state_dict(state["loss"])
-        self._average.load_state_dict(state["average"])
-        self._optimiser.load_state_dict(state["optimiser"])
-        self.updates = int(state["updates"])
-        self.precision = state["precision"]
+        super().load_state_dict(state)
         self._target.counter = self.updates % self._train.target_interval
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import io
 import time
 from collections import deque
 from pathlib import Path
@@ -163,9 +162,17 @@ class Progress:
 
 
 def read_curve(file: Path) -> list[dict[str, str]]:
-    """The rows of a `train.csv`; an incomplete last line, left by a killed process, is left out."""
-    text = file.read_text(encoding="utf-8")
-    return list(csv.DictReader(io.StringIO(text[: text.rfind("\n") + 1])))
+    """The rows of a `train.csv`, whatever its learner's metrics; none if there is no file.
+
+    Raises:
+        SdfgcnError: It is not such a table, or a row has too few or too many cells.
+    """
+    header: list[str] = []
+    if file.exists():
+        with file.open(encoding="utf-8", newline="") as lines:
+            header = next(csv.reader(lines), [])
+    own = columns(())
+    return CsvTable(file, columns(tuple(name for name in header if name not in own))).read()
 
 
 def _mean(values: deque[float]) -> float:

@@ -14,13 +14,13 @@ from tensordict import TensorDictBase
 from sdfgcn.config import Config
 from sdfgcn.files import write_json
 from sdfgcn.models.q_network import QNetwork
+from sdfgcn.train.base_learner import BaseLearner
 from sdfgcn.train.checkpoint import save_checkpoint
 from sdfgcn.train.collectors import PushCollector
 from sdfgcn.train.curriculum import Curriculum
 from sdfgcn.train.exploration import EpsilonGreedyPolicy
 from sdfgcn.train.held_out import HeldOutCurve
 from sdfgcn.train.hindsight import Hindsight
-from sdfgcn.train.learners import AnyLearner
 from sdfgcn.train.progress import Progress
 from sdfgcn.train.replay import Replay
 
@@ -43,7 +43,7 @@ class TrainingState:
         progress: Counters and recent metrics.
     """
 
-    learner: AnyLearner
+    learner: BaseLearner
     policy: EpsilonGreedyPolicy
     replay: Replay
     hindsight: Hindsight

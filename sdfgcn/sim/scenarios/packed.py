@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from shapely import Polygon
 
 from sdfgcn.registry import SCENARIOS
-from sdfgcn.sim.placement import Layout, NoRoom, is_free
+from sdfgcn.sim.placement import Layout
 from sdfgcn.sim.scenarios.scenario import Scenario, Situation
 from sdfgcn.task.region import Region
 
@@ -30,15 +30,4 @@ class Packed(Scenario):
         """[n, 2] positions, each as near as possible to a random middle, metres."""
         region = Region.spawn(self.arena)
         middle = rng.uniform(region.low, region.high)
-        points = np.zeros((0, 2))
-        for i in range(len(shapes)):
-            tries = rng.uniform(region.low, region.high, size=(self.config.max_tries, 2))
-            nearest = tries[np.argsort(np.linalg.norm(tries - middle, axis=1))]
-            for candidate in nearest:
-                placed = np.vstack([points, candidate])
-                if is_free(placed, shapes[: i + 1], self.spacing):
-                    points = placed
-                    break
-            else:
-                raise NoRoom
-        return points
+        return self.anywhere(rng, shapes, middle)

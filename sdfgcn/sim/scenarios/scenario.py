@@ -60,7 +60,12 @@ class Scenario(abc.ABC):
             NoRoom: The objects did not fit; the caller draws other objects and tries again.
         """
 
-    def anywhere(self, rng: np.random.Generator, shapes: Sequence[Polygon]) -> NDArray[np.float64]:
-        """[n, 2] positions drawn uniformly in the spawn region, metres."""
+    def anywhere(
+        self,
+        rng: np.random.Generator,
+        shapes: Sequence[Polygon],
+        middle: NDArray[np.float64] | None = None,
+    ) -> NDArray[np.float64]:
+        """[n, 2] positions drawn in the spawn region, metres; see `sample_positions`."""
         regions = [Region.spawn(self.arena)] * len(shapes)
-        return sample_positions(rng, shapes, regions, self.spacing, self.config.max_tries)
+        return sample_positions(rng, shapes, regions, self.spacing, self.config.max_tries, middle)
