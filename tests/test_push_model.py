@@ -4,10 +4,10 @@ import math
 from dataclasses import replace
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from configs import real_config
+from discs import discs, turned
 from observations import random_observation
 from tensordict import TensorDict
 from torch import Tensor
@@ -18,7 +18,6 @@ from sdfgcn.models import build_q_network
 from sdfgcn.models.planner import PlannerConfig, pushes_needed, risk_of_leaving
 from sdfgcn.models.polar import PolarMaps, reflected
 from sdfgcn.models.push_model import PushModel
-from sdfgcn.task.camera import camera_model
 from sdfgcn.task.scene import Scene
 from sdfgcn.train.displacement import DisplacementLearner
 
@@ -35,34 +34,6 @@ def network(seed: int = 0, directions: int = D, **changes: Any) -> PushModel:
     net = build_q_network(model, directions, 8, SIZE, seed)
     assert isinstance(net, PushModel)
     return net
-
-
-def discs(*objects: tuple[float, float, float], rows: int = 0) -> Scene:
-    """One scene [1] of discs (x, y, radius), metres, drawn on the plane that pixels stand for."""
-    arena, height = config().env.arena, config().env.push.plane_height
-    camera = camera_model(arena)
-    u, v = np.meshgrid(np.arange(SIZE) + 0.5, np.arange(SIZE) + 0.5)
-    world = camera.back_project(np.stack([u, v], axis=-1), height)
-    scale = camera.project_scaled(world)[1]
-    n = max(rows, len(objects))
-    scene = Scene(
-        sdf=torch.zeros(1, n, SIZE, SIZE),
-        node_mask=torch.arange(n)[None] < len(objects),
-        center=torch.zeros(1, n, 2),
-        position=torch.zeros(1, n, 2),
-        batch_size=[1],
-    )
-    for row, (x, y, radius) in enumerate(objects):
-        far = np.hypot(world[..., 0] - x, world[..., 1] - y) - radius
-        scene.sdf[0, row] = torch.from_numpy(far * scale)
-        scene.center[0, row] = torch.tensor([x, y])
-    return scene
-
-
-def turned(points: Tensor, angle: float) -> Tensor:
-    """Points [..., 2] turned about the origin by `angle` radians."""
-    cos, sin = math.cos(angle), math.sin(angle)
-    return points @ torch.tensor([[cos, sin], [-sin, cos]])
 
 
 # ------------------------------------------------------------------ polar maps
