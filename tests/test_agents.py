@@ -1,5 +1,7 @@
 """The agents: which push each prefers, and how a push is taken by these preferences."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
@@ -131,13 +133,22 @@ def test_the_rule_knows_as_many_directions_as_there_are() -> None:
 # ------------------------------------------------------------------ all agents
 
 
+def attached(agent: EpsilonGreedy) -> EpsilonGreedy:
+    """The agent in an env where pushes move nothing, for one that tries them there."""
+    poses = np.zeros((5, 7))
+    world = SimpleNamespace(poses=lambda: poses, truth=SimpleNamespace(goal_poses=poses))
+    agent.attach(SimpleNamespace(world=world, foresee=lambda action: poses))  # type: ignore[arg-type]
+    return agent
+
+
 def test_action_is_legal_and_follows_from_the_generator(each_model: Config) -> None:
     rng = np.random.default_rng(3)
     for seed in range(20):
         offsets = [tuple(offset) for offset in rng.uniform(-FAR, FAR, (5, 2)).tolist()]
         td = observation(offsets, forbidden=tuple(rng.permutation(40)[:30]))
         first, again = (
-            chosen(build_agent(each_model, np.random.default_rng(seed)), td) for _ in range(2)
+            chosen(attached(build_agent(each_model, np.random.default_rng(seed))), td)
+            for _ in range(2)
         )
         assert td["action_mask"][first]
         assert first == again
@@ -146,7 +157,7 @@ def test_action_is_legal_and_follows_from_the_generator(each_model: Config) -> N
 def test_refuses_when_nothing_is_legal(each_model: Config) -> None:
     td = observation([(FAR, 0)], forbidden=tuple(range(D)))
     with pytest.raises(ValueError, match="allows no action"):
-        build_agent(each_model, np.random.default_rng(0))(td)
+        attached(build_agent(each_model, np.random.default_rng(0)))(td)
 
 
 def test_unknown_model_is_named() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 import torch
@@ -57,6 +58,11 @@ class EpsilonGreedy:
         self._epsilon = epsilon
         self._loop_distance = loop_distance
         self._tried: list[tuple[NDArray[np.float32], int]] = []  # in this episode
+
+    def attach(self, env: Any) -> None:
+        """Give the env to an agent that tries pushes in its world; others do not need it."""
+        if hasattr(self._agent, "attach"):
+            self._agent.attach(env)
 
     def __call__(self, td: TensorDictBase) -> TensorDictBase:
         """Pick a push for the observation of one env, without batch dimension.

@@ -15,13 +15,14 @@ from sdfgcn.config import EnvConfig
 from sdfgcn.envs.records import EpisodeStart, Push, Snapshot, StepRecord
 from sdfgcn.envs.reward import reward_terms
 from sdfgcn.envs.standing import Standing, nearest_objects, seen_standing, true_standing
+from sdfgcn.errors import SdfgcnError
 from sdfgcn.perception.base import detected
 from sdfgcn.perception.sdf import SdfTransform
 from sdfgcn.registry import PERCEPTIONS, WORLDS
 from sdfgcn.task.push_space import PushSpace
 from sdfgcn.task.region import Region
 from sdfgcn.task.scene import Detections, Scene
-from sdfgcn.task.world import View, World
+from sdfgcn.task.world import Foreseeing, PushCommand, View, World
 
 
 class RearrangementEnv(EnvBase):
@@ -154,7 +155,7 @@ class RearrangementEnv(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         row, direction = self.push_space.decode(int(tensordict["action"]))
         detected_before, legal = self._now.scene.node_mask, self._action_mask
-        command = self.push_space.command(self._plan, detected_before.numpy(), row, direction)
+        command = self._command(row, direction)
         result = self.world.execute(command)
         self._pushes += 1
         self._look()
@@ -191,6 +192,26 @@ class RearrangementEnv(EnvBase):
         observation["truncated"] = torch.tensor([truncated])
         observation["done"] = torch.tensor([terminated or truncated])
         return observation
+
+    def _command(self, row: int, direction: int) -> PushCommand:
+        detected = self._now.scene.node_mask.numpy()
+        return self.push_space.command(self._plan, detected, row, direction)
+
+    def foresee(self, action: int) -> NDArray[np.float64]:
+        """Where the objects would lie after an action, which is not taken.
+
+        Returns:
+            float64 [n, 7] true poses: xyz in metres, quaternion w, x, y, z.
+
+        Raises:
+            SdfgcnError: The world cannot take a push back.
+        """
+        if not isinstance(self.world, Foreseeing):
+            raise SdfgcnError(
+                f"env.world.name is '{self.config.world.name}', which cannot take back a push that "
+                "is only tried; use world=mujoco."
+            )
+        return self.world.foresee(self._command(*self.push_space.decode(action)))
 
     # ------------------------------------------------------------------ saving and restoring
 

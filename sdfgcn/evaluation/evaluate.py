@@ -172,6 +172,7 @@ class _Player:
         seed, rng = episode_seeds(config.eval.seed, episode)
         with self._recorder(episode) as recorder:
             agent = build_agent(config, rng)
+            agent.attach(self._env)
             return play_episode(self._env, agent, episode, seed, recorder, self._stopped)
 
     def _build_env(self) -> Env:

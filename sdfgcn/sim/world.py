@@ -122,6 +122,12 @@ class MujocoWorld:
         """Push, and wait until everything is at rest."""
         return self.task.execute(self.physics, command)
 
+    def foresee(self, command: PushCommand) -> NDArray[np.float64]:
+        """[n, 7] the poses after a push, which is taken back."""
+        with self.objects_at(self.poses()):
+            self.execute(command)
+            return self.poses()
+
     def poses(self) -> NDArray[np.float64]:
         """[n, 7] the objects' true poses: xyz in metres, quaternion w, x, y, z."""
         return self.task.poses(self.physics)

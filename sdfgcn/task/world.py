@@ -9,7 +9,7 @@ detected centres.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, Protocol
+from typing import TYPE_CHECKING, Any, Literal, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,3 +129,11 @@ class World(Protocol):
 
     def close(self) -> None:
         """Release the world's resources."""
+
+
+@runtime_checkable
+class Foreseeing(Protocol):
+    """A world that can try a push and take it back, which no real one can."""
+
+    def foresee(self, command: PushCommand) -> NDArray[np.float64]:
+        """float64 [n, 7] the objects' true poses after a push; the world stays as it is."""
