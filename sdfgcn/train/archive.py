@@ -24,7 +24,7 @@ JSON_BYTES = 2**24
 _ENCRYPTED = 0x1
 
 
-class Refused(Exception):
+class ArchiveError(Exception):
     """The archive holds something that no checkpoint has; the message says what, as a clause."""
 
 
@@ -36,7 +36,7 @@ def check_archive(path: Path, limit: int) -> None:
         limit: The most bytes that its files may have in all when unpacked.
 
     Raises:
-        Refused: It is not.
+        ArchiveError: It is not.
         OSError: It cannot be read.
         zipfile.BadZipFile: It is no archive, or damaged.
     """
@@ -47,7 +47,7 @@ def check_archive(path: Path, limit: int) -> None:
             _check_kind(member)
         size = sum(member.file_size for member in members)
         if size > limit:
-            raise Refused(
+            raise ArchiveError(
                 f"would take {size / 2**20:.0f} MB unpacked, but one of this training takes at "
                 f"most {limit / 2**20:.0f} MB"
             )
@@ -59,22 +59,22 @@ def _check_names(names: list[str]) -> None:
     seen = set()
     for name in names:
         if not _NAMES.fullmatch(name):
-            raise Refused(f"holds {name!r}, which no checkpoint of this version has")
+            raise ArchiveError(f"holds {name!r}, which no checkpoint of this version has")
         if name in seen:
-            raise Refused(f"holds {name!r} twice")
+            raise ArchiveError(f"holds {name!r} twice")
         seen.add(name)
 
 
 def _check_kind(member: zipfile.ZipInfo) -> None:
     if stat.S_IFMT(member.external_attr >> 16) not in (0, stat.S_IFREG):  # 0: not told
-        raise Refused(f"holds {member.filename!r}, which is no ordinary file")
+        raise ArchiveError(f"holds {member.filename!r}, which is no ordinary file")
     # The other ways of compression can unpack to more than they declare.
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise Refused(f"holds {member.filename!r}, which is compressed in another way")
+        raise ArchiveError(f"holds {member.filename!r}, which is compressed in another way")
     if member.flag_bits & _ENCRYPTED:
-        raise Refused(f"holds {member.filename!r}, which is encrypted")
+        raise ArchiveError(f"holds {member.filename!r}, which is encrypted")
     if member.filename.endswith(".json") and member.file_size > JSON_BYTES:
-        raise Refused(f"holds {member.filename!r} of {member.file_size / 2**20:.0f} MB")
+        raise ArchiveError(f"holds {member.filename!r} of {member.file_size / 2**20:.0f} MB")
 
 
 def _check_start(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
@@ -86,4 +86,4 @@ def _check_start(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> None:
     else:  # safetensors: the length of the header, and the header in JSON
         good = start[8:] == b"{" and int.from_bytes(start[:8], "little") <= member.file_size - 8
     if not good:
-        raise Refused(f"holds {member.filename!r}, whose content is of another kind")
+        raise ArchiveError(f"holds {member.filename!r}, whose content is of another kind")

@@ -18,7 +18,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointError, GlobalRNGState
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import replaced
-from sdfgcn.train.archive import Refused, check_archive
+from sdfgcn.train.archive import ArchiveError, check_archive
 from sdfgcn.train.state_file import StateFileAdapter
 
 NAME = "checkpoint.zip"
@@ -53,7 +53,7 @@ def checkpoint_config(path: Path, limit: int) -> dict[str, Any]:
     try:
         check_archive(path, limit)
         return dict(Checkpoint.manifest(path)["metadata"]["config"])
-    except Refused as error:
+    except ArchiveError as error:
         raise _refused(path, error) from error
     except Exception as error:
         raise _unreadable(path) from error
@@ -76,7 +76,7 @@ def load_checkpoint(path: Path, parts: Mapping[str, Any], limit: int) -> None:
             if archive.testzip() is not None:
                 raise CheckpointError("wrong checksum")
         _registered(parts).load(path)
-    except Refused as error:
+    except ArchiveError as error:
         raise _refused(path, error) from error
     except Exception as error:  # damaged archives raise all kinds of errors
         raise _unreadable(path) from error
@@ -91,7 +91,7 @@ def _registered(parts: Mapping[str, Any]) -> Checkpoint:
     return checkpoint
 
 
-def _refused(path: Path, reason: Refused) -> SdfgcnError:
+def _refused(path: Path, reason: ArchiveError) -> SdfgcnError:
     return SdfgcnError(
         f"{path} {reason}, so it is not opened (it is of an earlier version, or may do harm); "
         "remove it to train anew, or use another hydra.run.dir."

@@ -23,7 +23,7 @@ TENSORS = "tensors.safetensors"
 
 
 class StateFileAdapter(CheckpointAdapter):
-    """Saves and loads what has a `state_dict` and a `load_state_dict`, as `STRUCTURE` and `TENSORS`.
+    """Saves what has a `state_dict` and a `load_state_dict` as two files, and loads it.
 
     The state may consist of None, booleans, numbers, strings, lists, tuples, dicts, tensors,
     TensorDicts and scenes. Tensors are loaded to the CPU.
@@ -124,7 +124,7 @@ def decoded(value: Any, tensors: Mapping[str, Tensor]) -> Any:
                 name, size, fields = content
                 values = {key: decoded(item, tensors) for key, item in fields.items()}
                 return _batch(name, size, values)
-    except (KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ValueError(f"not a state's structure ({error})") from error
     raise ValueError(f"not a state's structure: '{kind}'")
 

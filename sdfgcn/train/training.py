@@ -11,7 +11,8 @@ from typing import Any
 
 import torch
 
-from sdfgcn.agents.policy import ABOUT, read_about, save_policy
+from sdfgcn.agents.policy import read_about, save_policy
+from sdfgcn.agents.policy_file import ABOUT
 from sdfgcn.config import Config, EnvConfig
 from sdfgcn.config.diff import differences, flat
 from sdfgcn.errors import SdfgcnError
