@@ -130,7 +130,10 @@ FAULTS = {
     "slots below one": ({"max_objects": -1}, "max_objects is -1, but must be a whole number from"),
     "slots of a billion": ({"max_objects": 10**9}, r"max_objects is 1000000000, but .* to 256"),
     "half a slot": ({"max_objects": 2.5}, r"max_objects is 2\.5"),
-    "other slots": ({"max_objects": N + 1}, r"is float32 \[\d+.*, but float32 \[\d+.* in the network"),
+    "other slots": (
+        {"max_objects": N + 1},
+        r"is float32 \[\d+.*, but float32 \[\d+.* in the network",
+    ),
     "no directions": ({"directions": 0}, "directions is 0, but must be"),
     "directions in words": ({"directions": "8"}, "directions is '8', but must be"),
     "a huge picture": ({"image_size": 10**6}, "image_size is 1000000, but must be"),

@@ -41,7 +41,8 @@ def read_about(folder: Path) -> dict[str, Any]:
     """Read and check `ABOUT`; it may be incomplete.
 
     Raises:
-        PolicyFileError: It is not in JSON, has a key that no policy has, or a number that makes no sense.
+        PolicyFileError: It is not in JSON, has a key that no policy has, or a number that makes no
+            sense.
         OSError: It cannot be read.
     """
     try:
@@ -82,7 +83,9 @@ def _check_training(training: Any) -> None:
 
 def _check_whole(key: str, value: Any, least: int, most: int) -> None:
     if not (type(value) is int and least <= value <= most):
-        raise PolicyFileError(f"{key} is {value!r}, but must be a whole number from {least} to {most}")
+        raise PolicyFileError(
+            f"{key} is {value!r}, but must be a whole number from {least} to {most}"
+        )
 
 
 def _numbers(key: str, value: Any) -> Iterator[tuple[str, float]]:
@@ -124,7 +127,9 @@ def read_weights(
         raise PolicyFileError(f"{WEIGHTS} does not have the checksum in {ABOUT}")
     weights = load(content)
     if differing := sorted(weights.keys() ^ wanted.keys()):
-        raise PolicyFileError(f"only one of {WEIGHTS} and the network of {ABOUT} has '{differing[0]}'")
+        raise PolicyFileError(
+            f"only one of {WEIGHTS} and the network of {ABOUT} has '{differing[0]}'"
+        )
     for name, value in weights.items():
         there, here = ((each.dtype, list(each.shape)) for each in (value, wanted[name]))
         if there != here:
