@@ -246,7 +246,7 @@ def test_weights_of_other_sizes_or_layers_are_named(tmp_path: Path) -> None:
         UCNSegmenter(replace(config, weights=str(file), embedding=8))
     network = make_network(config)
     with torch.no_grad():
-        next(network.parameters()).view(-1)[0] = torch.nan
+        next(network.parameters())[0] = torch.nan
     save_network(network, config, file)
     with pytest.raises(SdfgcnError, match=r"are damaged \('.*' is not finite\)"):
         UCNSegmenter(replace(config, weights=str(file)))
