@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import shutil
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -18,11 +17,12 @@ from typing import Any
 
 from common import RESULTS
 
-from sdfgcn.agents.policy import ABOUT, RELEASED, WEIGHTS, find_policy, read_about
+from sdfgcn.agents.policy import RELEASED, find_policy, load_network
+from sdfgcn.agents.policy_file import ABOUT, WEIGHTS, checksum
 from sdfgcn.comparison.table import CONDITIONS
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.report import commit_of, decimal, markdown_table, percent
-from sdfgcn.files import write_text
+from sdfgcn.files import write_json, write_text
 from sdfgcn.train.progress import read_curve
 
 POINTS = 12  # rows of the learning curve in the card
@@ -125,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     try:
         policy = find_policy(given.training)
-        about = read_about(policy)
+        _, about = load_network(policy)
         if about["budget"] is None:
             raise SdfgcnError(f"{policy} is of an unfinished training; finish it first.")
         tables = [given.results / f"{table}.json" for table in given.table]
@@ -137,8 +137,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         text = card(given.name, about, read_curve(given.training / "train.csv"), rows)
         folder = given.weights / given.name
         folder.mkdir(parents=True, exist_ok=True)
-        for file in (WEIGHTS, ABOUT):
-            shutil.copyfile(policy / file, folder / file)
+        weights = (policy / WEIGHTS).read_bytes()
+        (folder / WEIGHTS).write_bytes(weights)
+        write_json(folder / ABOUT, about | {"sha256": checksum(weights)})  # older ones have none
         write_text(folder / "README.md", text)
     except (SdfgcnError, OSError) as error:
         print(error, file=sys.stderr)

@@ -133,6 +133,17 @@ def test_an_optional_package_stays_in_its_folder(path: Path) -> None:
         assert package not in used or path.parent.name == folder
 
 
+@pytest.mark.parametrize("path", FILES, ids=module_name)
+def test_no_file_is_read_as_code(path: Path) -> None:
+    """Nothing is unpickled: what `torch.load` and `numpy.load` read is data."""
+    safe = {"torch.load": "weights_only=True", "np.load": "allow_pickle=False"}
+    calls = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Call)]
+    for call in calls:
+        name, options = ast.unparse(call.func), [ast.unparse(each) for each in call.keywords]
+        assert name not in ("pickle.load", "pickle.loads", "eval", "exec")
+        assert name not in safe or f"{safe[name]}" in options
+
+
 @pytest.mark.parametrize("registry", REGISTRIES, ids=lambda registry: registry.group)
 def test_registry_and_conf_name_the_same_things(registry: Registry) -> None:
     assert set(registry) == {path.stem for path in (CONF / registry.group).glob("*.yaml")}

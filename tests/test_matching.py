@@ -1,6 +1,8 @@
 """Matching: encoders, features of masked patches, assignment."""
 
+import io
 import math
+import os
 from contextlib import closing
 from dataclasses import replace
 
@@ -349,9 +351,34 @@ def test_resnet_needs_its_file(resnet, tmp_path, weights):
     torch.save(state, tmp_path / "ten.pth")
     with pytest.raises(SdfgcnError, match=r"the wrong shape of fc\.weight"):
         Matcher(replace(resnet, path=str(tmp_path / "ten.pth")))
+    state = torch.load(weights, weights_only=True)
+    state["fc.bias"][3] = torch.nan
+    torch.save(state, tmp_path / "nan.pth")
+    with pytest.raises(SdfgcnError, match=r"nan\.pth' is damaged: its weights 'fc\.bias' are not"):
+        Matcher(replace(resnet, path=str(tmp_path / "nan.pth")))
     torch.save([1, 2], tmp_path / "list.pth")
     with pytest.raises(SdfgcnError, match=r"does not hold torchvision's ResNet-18"):
         Matcher(replace(resnet, path=str(tmp_path / "list.pth")))
+
+
+class Attack:
+    """Makes a file when it is unpickled."""
+
+    def __init__(self, marker):
+        self.marker = marker
+
+    def __reduce__(self):
+        return os.mknod, (str(self.marker),)
+
+
+@pytest.mark.parametrize("name", ["bad.pth", "bad.safetensors"])
+def test_weights_that_would_run_code_are_refused(resnet, tmp_path, name):
+    torch.save({"fc.bias": Attack(tmp_path / "marker")}, tmp_path / name)
+    with pytest.raises(SdfgcnError, match=rf"{name}' cannot be read as weights"):
+        Matcher(replace(resnet, path=str(tmp_path / name)))
+    assert not (tmp_path / "marker").exists()
+    torch.load(io.BytesIO((tmp_path / name).read_bytes()), weights_only=False)
+    assert (tmp_path / "marker").exists()
 
 
 @pytest.mark.parametrize(

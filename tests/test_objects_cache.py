@@ -1,6 +1,9 @@
 """Building, caching and what is said when either fails."""
 
 import dataclasses
+import hashlib
+import json
+import shutil
 import subprocess
 import threading
 import zipfile
@@ -13,8 +16,10 @@ from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects import catalogue, fetch
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
 from sdfgcn.objects.contact_sheet import main
+from sdfgcn.objects.prepare import prepare
 from sdfgcn.objects.sources import household
-from sdfgcn.objects.storage import MANIFEST, new_folder
+from sdfgcn.objects.storage import MANIFEST, new_folder, read_models, write_models
+from sdfgcn.registry import OBJECTS
 
 
 @pytest.fixture(scope="module")
@@ -77,6 +82,130 @@ def test_missing_file_is_named(cfg):
     (catalogue_folder(cfg) / "ring_1.npz").unlink()
     with pytest.raises(SdfgcnError, match=r"ring_1\.npz is damaged"):
         load_catalogue(cfg, "train")
+
+
+# ------------------------------------------------------------------ what is read
+
+ENTRIES = {
+    "mass in words": (lambda entry: entry.update(mass="heavy"), "mass of book_1 is 'heavy'"),
+    "no mass": (lambda entry: entry.update(mass=0.0), r"mass of book_1 is 0\.0"),
+    "mass of nan": (lambda entry: entry.update(mass=float("nan")), "mass of book_1 is nan"),
+    "no rests": (lambda entry: entry.update(rests=[]), r"resting poses of book_1 are \[\]"),
+    "a rest of nan": (lambda entry: entry["rests"][0].__setitem__(1, float("nan")), "resting"),
+    "a short rest": (lambda entry: entry["rests"][0].pop(), "resting poses of book_1"),
+    "no unit": (lambda entry: entry["rests"][0].__setitem__(0, [1, 1, 0, 0]), "resting poses"),
+    "unlikely": (lambda entry: entry["rests"][0].__setitem__(3, 0.01), "do not sum to 1"),
+    "no split": (lambda entry: entry.update(split="all"), "split of book_1 is 'all'"),
+    "other keys": (lambda entry: entry.update(code="x"), "other keys"),
+    "no text": (lambda entry: entry.update(category=3), "must be a text"),
+    "elsewhere": (lambda entry: entry.update(file="../book_1.npz"), "has the file"),
+}
+
+
+def rewritten(folder, change, entries_checksum=True):
+    """Change the first entry of a manifest; with the checksum of the new entries, or the old."""
+    manifest = json.loads((folder / MANIFEST).read_text())
+    change(manifest["objects"][0])
+    if entries_checksum:
+        content = json.dumps(manifest["objects"], sort_keys=True).encode()
+        manifest["sha256"] = hashlib.sha256(content).hexdigest()
+    (folder / MANIFEST).write_text(json.dumps(manifest))
+
+
+def refused(folder, told):
+    with pytest.raises(SdfgcnError, match=told) as raised:
+        read_models(folder, "train")
+    assert "is damaged (" in str(raised.value) and "\n" not in str(raised.value)
+    assert str(raised.value).endswith(f"delete the folder {folder} and run again to rebuild it.")
+
+
+@pytest.fixture(scope="module")
+def book(tmp_path_factory, base):
+    """The first household object, as a cache."""
+    recipe = next(each for each in OBJECTS.find("household").recipes(base) if each.name == "book_1")
+    folder = tmp_path_factory.mktemp("book") / "cache"
+    write_models(folder, [prepare(recipe, dataclasses.replace(base, settle_drops=6))])
+    return folder
+
+
+@pytest.fixture
+def folder(book, tmp_path):
+    return shutil.copytree(book, tmp_path / "copy")
+
+
+@pytest.mark.parametrize("case", ENTRIES)
+def test_an_entry_of_another_kind_is_refused(case, folder):
+    change, told = ENTRIES[case]
+    rewritten(folder, change)
+    refused(folder, told)
+
+
+def test_an_altered_manifest_is_noticed(folder):
+    rewritten(folder, lambda entry: entry.update(mass=entry["mass"] * 2), entries_checksum=False)
+    refused(folder, "its checksum does not match its entries")
+
+
+def test_a_manifest_of_before_there_was_a_checksum(folder):
+    manifest = json.loads((folder / MANIFEST).read_text())
+    (folder / MANIFEST).write_text(json.dumps({"objects": manifest["objects"]}))
+    assert [model.name for model in read_models(folder, "train")] == ["book_1"]
+
+
+@pytest.mark.parametrize("content", ["[]", "3", '{"objects": {}, "more": 1}', "[" * 10**5])
+def test_another_manifest_is_refused(content, folder):
+    (folder / MANIFEST).write_text(content)
+    refused(folder, "manifest")
+
+
+def test_flipped_bits_are_noticed(folder):
+    file = folder / "book_1.npz"
+    content = file.read_bytes()
+    for place in range(0, len(content), len(content) // 7):
+        flipped = bytearray(content)
+        flipped[place] ^= 1
+        file.write_bytes(flipped)
+        refused(folder, "its checksum does not match the manifest")
+
+
+def nan_vertices(arrays):
+    arrays["vertices"][0, 0] = np.nan
+
+
+def huge_points(arrays):
+    arrays["points"][0, 0] = np.inf
+
+
+def code(arrays):
+    arrays["faces"] = np.array([print], dtype=object)
+
+
+ARRAYS = {
+    "nan vertices": (nan_vertices, "its vertices are not finite"),
+    "inf points": (huge_points, "its points are not finite"),
+    "flat": (lambda arrays: arrays.update(vertices=np.zeros((4, 2))), r"are float64 \[4, 2\]"),
+    "empty": (lambda arrays: arrays.update(vertices=np.zeros((0, 3))), r"float64 \[0, 3\]"),
+    "faces of floats": (lambda arrays: arrays.update(faces=np.ones((2, 3))), "its faces are float"),
+    "faces of nothing": (lambda arrays: arrays["faces"].fill(10**6), "vertices that there are not"),
+    "pieces": (lambda arrays: arrays["ends"].__iadd__(1), "other points than there are"),
+    "texture": (lambda arrays: arrays.update(texture=np.ones((2, 2, 3))), "its texture are"),
+    "uv": (lambda arrays: arrays.update(uv=np.ones((2, 2))), "its uv are"),
+    "more": (lambda arrays: arrays.update(more=np.ones(1)), "its arrays are"),
+    "a pickle": (code, "allow_pickle=False"),
+}
+
+
+@pytest.mark.parametrize("case", ARRAYS)
+def test_arrays_of_another_kind_are_refused(case, folder):
+    """Also where somebody has made the checksums anew."""
+    change, told = ARRAYS[case]
+    file = folder / "book_1.npz"
+    with np.load(file) as stored:
+        arrays = {name: stored[name].copy() for name in stored.files}
+    change(arrays)
+    np.savez(file, **arrays)
+    checksum = hashlib.sha256(file.read_bytes()).hexdigest()
+    rewritten(folder, lambda entry: entry.update(sha256=checksum))
+    refused(folder, told)
 
 
 def test_failed_build_leaves_nothing(cfg, monkeypatch):

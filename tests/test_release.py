@@ -68,6 +68,26 @@ def test_weights_and_card(trained: Path) -> None:
     assert card.count("| 3 | test |") == 1
 
 
+def test_a_release_has_a_checksum(trained: Path) -> None:
+    file = trained / "policy" / "policy.json"
+    about = json.loads(file.read_text())
+    checksum = about.pop("sha256")
+    file.write_text(json.dumps(about))  # as older ones are
+    assert run(trained, "gt_pose_gcn") == 0
+    released = trained.parent / "weights" / "gt_pose_gcn" / "policy.json"
+    assert json.loads(released.read_text())["sha256"] == checksum
+
+
+def test_damaged_weights_are_not_released(
+    trained: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    weights = trained / "policy" / "weights.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-1] + b"?")
+    assert run(trained, "gt_pose_gcn") == 1
+    assert "does not have the checksum" in capsys.readouterr().err
+    assert not (trained.parent / "weights").exists()
+
+
 def test_what_is_refused(trained: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run(trained, "other") == 1
     assert "have no rows of other" in capsys.readouterr().err

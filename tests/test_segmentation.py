@@ -244,6 +244,12 @@ def test_weights_of_other_sizes_or_layers_are_named(tmp_path: Path) -> None:
     UCNSegmenter(replace(config, weights=str(file)))
     with pytest.raises(SdfgcnError, match=r"embedding 16, but .* embedding 8"):
         UCNSegmenter(replace(config, weights=str(file), embedding=8))
+    network = make_network(config)
+    with torch.no_grad():
+        next(network.parameters())[0] = torch.nan
+    save_network(network, config, file)
+    with pytest.raises(SdfgcnError, match=r"are damaged \('.*' is not finite\)"):
+        UCNSegmenter(replace(config, weights=str(file)))
     safetensors.torch.save_file({"x": torch.zeros(1)}, file)
     with pytest.raises(SdfgcnError, match="unknown sizes"):
         UCNSegmenter(replace(config, weights=str(file)))
@@ -321,6 +327,10 @@ def test_training_pictures_are_labelled_and_a_damaged_shard_is_named(tmp_path: P
     file.write_bytes(file.read_bytes()[:500])
     with pytest.raises(SdfgcnError, match="are damaged"):
         dataset.load_pictures(config)
+    for pixels, told in ((np.zeros((1, 2, 2, 3)), "of bytes"), (np.uint8([1]), "differ in shape")):
+        np.savez(file, pixels=pixels, labels=np.zeros((1, 2, 2), dtype=np.uint8))
+        with pytest.raises(SdfgcnError, match=rf"are damaged \(.*{told}"):
+            dataset.load_pictures(config)
 
 
 @pytest.mark.parametrize(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import multiprocessing
 import os
+import pickle
 import time
 import zipfile
 from pathlib import Path
@@ -13,11 +14,13 @@ import pytest
 import torch
 from configs import real_config
 from small_network import small_network
+from tensordict import TensorDict
 from toys import TOYS
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.loggers.files import NoLogger
 from sdfgcn.models.q_network import QNetwork
+from sdfgcn.train.replay import Replay
 
 SMALL = (
     *("objects=household", "robot=gripper", "model=sdfgcn", "n_objects=2", "train.env.split=test"),
@@ -143,6 +146,62 @@ def test_a_flipped_byte_is_noticed(whole: Path, tmp_path: Path) -> None:
     (tmp_path / "checkpoint.zip").write_bytes(content)
     with pytest.raises(SdfgcnError, match="damaged"):
         go_on(tmp_path)
+
+
+class Attack:
+    """Makes a file when it is unpickled."""
+
+    def __init__(self, marker: Path) -> None:
+        self.marker = marker
+
+    def __reduce__(self) -> tuple:
+        return os.mknod, (str(self.marker),)
+
+
+@pytest.mark.parametrize("name", ["prefetch.pkl", "storage/other.pickle"])
+def test_a_checkpoint_from_somebody_else_runs_no_code(
+    name: str, whole: Path, tmp_path: Path
+) -> None:
+    """With either file beside its replay buffer, TorchRL would have run code."""
+    path = tmp_path / "checkpoint.zip"
+    path.write_bytes((whole / path.name).read_bytes())
+    with zipfile.ZipFile(path, "a") as archive:
+        part = next(each for each in archive.namelist() if each.endswith("-replay/state.json"))
+        bad = part.replace("state.json", name)
+        archive.writestr(bad, pickle.dumps(Attack(tmp_path / "marker")))
+    with pytest.raises(SdfgcnError, match=f"holds '{bad}', which no checkpoint of this version"):
+        go_on(tmp_path)
+    assert not (tmp_path / "marker").exists()
+
+
+@pytest.mark.parametrize(
+    ("held", "cursor"),
+    [
+        ({"pixels": torch.zeros(1, 10**6)}, 0),  # for 30 transitions, 30 MB
+        ({"action": torch.zeros(31)}, 0),
+        ({"action": torch.zeros(1)}, 30),
+        ({"action": torch.zeros(1)}, -1),
+    ],
+)
+def test_a_buffer_of_another_size_is_refused(held: dict, cursor: int) -> None:
+    replay = Replay(real_config(*SMALL))  # of 30 transitions
+    writer = {**replay.state_dict()["writer"], "_cursor": cursor}
+    held = TensorDict(held, batch_size=[len(next(iter(held.values())))])
+    with pytest.raises(ValueError, match=r"transitions of|a cursor at"):
+        replay.load_state_dict({"transitions": held, "writer": writer})
+
+
+def test_a_checkpoint_is_far_smaller_than_the_most_that_is_read(whole: Path) -> None:
+    """And the most grows with the buffer, which takes most of it."""
+    with zipfile.ZipFile(whole / "checkpoint.zip") as archive:
+        sizes = {member.filename: member.file_size for member in archive.infolist()}
+    replay = sum(size for name, size in sizes.items() if "-replay/" in name)
+    small, large = (
+        Replay(real_config(*SMALL, f"train.replay_capacity={capacity}")).largest
+        for capacity in (30, 300)
+    )
+    assert replay < small < 10 * replay
+    assert large == 10 * small
 
 
 def test_a_checkpoint_of_another_training_is_refused(whole: Path, tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import pickle
 import subprocess
@@ -25,6 +26,12 @@ from sdfgcn.models.q_network import QNetwork
 SIZE = 96
 N = 3
 D = 8  # push directions
+ROOT = Path(__file__).parents[1]
+POLICIES = sorted(
+    file
+    for folder in ("sdfgcn/weights", "experiments/results")
+    for file in (ROOT / folder).rglob("policy.json")
+)
 
 
 def observation() -> TensorDict:
@@ -117,6 +124,103 @@ def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a" / "weights.safetensors").replace(tmp_path / "b" / "weights.safetensors")
     with pytest.raises(SdfgcnError, match="damaged"):
         load_network(tmp_path / "b")
+
+
+FAULTS = {
+    "slots below one": ({"max_objects": -1}, "max_objects is -1, but must be a whole number from"),
+    "slots of a billion": ({"max_objects": 10**9}, r"max_objects is 1000000000, but .* to 256"),
+    "half a slot": ({"max_objects": 2.5}, r"max_objects is 2\.5"),
+    "other slots": (
+        {"max_objects": N + 1},
+        r"is float32 \[\d+.*, but float32 \[\d+.* in the network",
+    ),
+    "no directions": ({"directions": 0}, "directions is 0, but must be"),
+    "directions in words": ({"directions": "8"}, "directions is '8', but must be"),
+    "a huge picture": ({"image_size": 10**6}, "image_size is 1000000, but must be"),
+    "an unknown key": ({"code": "import os"}, r"policy\.json has the unknown key 'code'"),
+    "another checksum": ({"sha256": "0" * 64}, r"weights\.safetensors does not have the checksum"),
+    "no checksum": ({"sha256": None}, "does not have the checksum"),
+    "no model": ({"model": None}, "model is None, but must be an object"),
+    "no numbers": ({"training": {"curriculum.counts": ["a"]}}, "in training is 'a', but must be"),
+}
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_senseless_policy_is_named(fault: str, tmp_path: Path) -> None:
+    changes, told = FAULTS[fault]
+    policy(tmp_path, "sdf_cnn")
+    load_network(tmp_path)
+    about = json.loads((tmp_path / "policy.json").read_text())
+    (tmp_path / "policy.json").write_text(json.dumps(about | changes))
+    refused(tmp_path, told)
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"hidden": 10**9}, "model.hidden is 1000000000, but no network has more than 4096"),
+        ({"hidden": -1}, "damaged"),
+        ({"hidden": 4095}, r"but float32 \[.*4095.* in the network"),  # no memory is taken for it
+        ({"position_unit": float("nan")}, "model.position_unit is nan, but must be finite"),
+        ({"extra": 1}, "ConfigKeyError"),
+        ({"name": "nonsense"}, "model.name is 'nonsense', but must be one of"),
+    ],
+)
+def test_a_senseless_network_is_named(changes: dict, told: str, tmp_path: Path) -> None:
+    policy(tmp_path)
+    about = json.loads((tmp_path / "policy.json").read_text())
+    about["model"] |= changes
+    (tmp_path / "policy.json").write_text(json.dumps(about))
+    refused(tmp_path, told)
+
+
+def refused(folder: Path, told: str) -> None:
+    with pytest.raises(SdfgcnError, match=told) as raised:
+        load_network(folder)
+    assert str(raised.value).startswith(f"The policy in {folder} is damaged (")
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize("byte", [0, 8, 200, -1])
+def test_a_flipped_bit_in_the_weights_is_noticed(byte: int, tmp_path: Path) -> None:
+    policy(tmp_path)
+    content = bytearray((tmp_path / "weights.safetensors").read_bytes())
+    content[byte] ^= 1
+    (tmp_path / "weights.safetensors").write_bytes(content)
+    refused(tmp_path, "does not have the checksum")
+
+
+@pytest.mark.parametrize("value", [torch.nan, torch.inf])
+def test_weights_that_are_not_finite_are_refused(value: float, tmp_path: Path) -> None:
+    network = build("gt_pose_gcn")
+    name, last = list(network.named_parameters())[-1]
+    with torch.no_grad():
+        last.view(-1)[-1] = value
+    save_policy(tmp_path, network, {})
+    refused(tmp_path, f"'{name}' is not finite")
+
+
+def test_a_policy_of_before_there_were_checksums(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It loads with a warning; what can be checked is checked."""
+    policy(tmp_path)
+    about = json.loads((tmp_path / "policy.json").read_text())
+    del about["sha256"]
+    (tmp_path / "policy.json").write_text(json.dumps(about))
+    load_network(tmp_path)
+    assert f"The policy in {tmp_path} was written without a checksum" in caplog.text
+
+
+def test_what_a_policy_cannot_say(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"A policy has no \['note'\]"):
+        save_policy(tmp_path, build("gt_pose_gcn"), {"note": "x"})
+
+
+@pytest.mark.parametrize("file", POLICIES, ids=lambda file: file.parent.name)
+def test_policies_in_the_repository_have_a_checksum(file: Path) -> None:
+    weights = file.with_name("weights.safetensors").read_bytes()
+    assert json.loads(file.read_text())["sha256"] == hashlib.sha256(weights).hexdigest()
 
 
 def test_no_such_policy(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from sdfgcn.task.push_space import PushSpace
 from sdfgcn.task.scene import Scene
 from sdfgcn.train.mirror import MirrorTransform, mirrored
 from sdfgcn.train.replay import Replay
+from sdfgcn.train.state_file import TENSORS, StateFileAdapter
 
 SIZE = 96
 PUSHES = PushSpace(real_config().env.push, real_config().env.arena)
@@ -87,11 +88,12 @@ def test_storing_and_sampling_leave_pushes_as_they_were(collected: TensorDict) -
 
 def test_a_saved_buffer_is_the_same_and_can_be_filled_on(collected: TensorDict, tmp_path) -> None:
     first = replay_of(collected, "augment=off")
-    first.buffer.dumps(tmp_path)
+    StateFileAdapter().save(first, tmp_path / "replay", args=(), kwargs={})
     second = Replay(real_config(*SMALL, "augment=off"))
-    second.buffer.loads(tmp_path)
-    for file in tmp_path.rglob("*.memmap"):  # nothing may still depend on the files
-        file.write_bytes(b"\xff" * file.stat().st_size)
+    options = {"map_location": None, "tensor_load_kwargs": {}, "args": (), "kwargs": {}}
+    StateFileAdapter().load(second, tmp_path / "replay", **options)
+    file = tmp_path / "replay" / TENSORS
+    file.write_bytes(b"\xff" * file.stat().st_size)  # nothing may still depend on it
     assert len(second) == len(first) == len(collected)
     for _ in range(7):  # past the capacity of 64
         assert (second.buffer[:] == first.buffer[:]).all()

@@ -1,13 +1,13 @@
 """Trained Q-networks as files: weights (safetensors) and metadata (JSON).
 
 A policy is a folder with `weights.safetensors` and `policy.json`, written by a run or released in
-`sdfgcn/weights/`. Nothing here needs Hydra.
+`sdfgcn/weights/`; `policy_file.py` says how they are checked. Nothing here needs Hydra.
 """
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import lru_cache
 from pathlib import Path
@@ -15,18 +15,18 @@ from typing import Any
 
 import numpy as np
 from omegaconf import OmegaConf
-from safetensors.torch import load_file, save
+from safetensors.torch import save
 
+from sdfgcn.agents import policy_file
 from sdfgcn.agents.epsilon_greedy import EpsilonGreedy, QAgent
+from sdfgcn.agents.policy_file import ABOUT, KEYS, WEIGHTS, checksum, read_weights
 from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import replaced, write_json
-from sdfgcn.models import build_q_network
+from sdfgcn.models import build_q_network, empty_q_network
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.registry import MODELS
 
-WEIGHTS = "weights.safetensors"
-ABOUT = "policy.json"
 RELEASED = Path(__file__).resolve().parents[1] / "weights"
 
 
@@ -34,13 +34,20 @@ def save_policy(folder: Path, network: QNetwork, about: Mapping[str, Any]) -> No
     """Write a policy; `about` says how it was trained, in JSON types.
 
     `policy.json` is written last, so a folder that has it is complete.
+
+    Raises:
+        ValueError: `about` has a key that is not in `policy_file.KEYS`, so it could not be loaded.
     """
+    if unknown := about.keys() - set(KEYS):
+        raise ValueError(f"A policy has no {sorted(unknown)}.")
     folder.mkdir(parents=True, exist_ok=True)
     (folder / ABOUT).unlink(missing_ok=True)
     weights = {name: value.contiguous() for name, value in network.state_dict().items()}
+    content = save(weights)
     with replaced(folder / WEIGHTS) as part:
-        part.write_bytes(save(weights))  # save_file would make it unreadable for other users
+        part.write_bytes(content)  # save_file would make it unreadable for other users
     kind = {
+        "sha256": checksum(content),
         "model": asdict(network.config),
         "directions": network.n_directions,
         "max_objects": network.max_objects,
@@ -69,8 +76,13 @@ def find_policy(checkpoint: str | Path) -> Path:
 
 
 def read_about(folder: Path) -> dict[str, Any]:
-    """The content of `policy.json` in a policy's folder."""
-    return json.loads((folder / ABOUT).read_text(encoding="utf-8"))
+    """The content of `policy.json` in a policy's folder.
+
+    Raises:
+        SdfgcnError: It is damaged, has an unknown key, or a number that makes no sense.
+    """
+    with _faults_named(folder):
+        return policy_file.read_about(folder)
 
 
 def load_network(checkpoint: str | Path) -> tuple[QNetwork, dict[str, Any]]:
@@ -80,11 +92,12 @@ def load_network(checkpoint: str | Path) -> tuple[QNetwork, dict[str, Any]]:
         The network, on the CPU, and the content of `policy.json`; both are shared by all callers.
 
     Raises:
-        SdfgcnError: There is no such policy, or its files are damaged.
+        SdfgcnError: There is no such policy, or its files are damaged: the weights have another
+            checksum than `policy.json` says, are of another network, or are not finite.
     """
     folder = find_policy(checkpoint).resolve()
-    weights = folder / WEIGHTS
-    return _load(folder, weights.stat().st_mtime_ns if weights.is_file() else 0)
+    files = (folder / ABOUT, folder / WEIGHTS)
+    return _load(folder, tuple(file.stat().st_mtime_ns if file.is_file() else 0 for file in files))
 
 
 def load_policy(
@@ -154,18 +167,26 @@ def trained_objects(about: Mapping[str, Any]) -> int | None:
 
 
 @lru_cache(maxsize=4)
-def _load(folder: Path, written: int) -> tuple[QNetwork, dict[str, Any]]:
-    try:
-        about = read_about(folder)
+def _load(folder: Path, written: tuple[int, ...]) -> tuple[QNetwork, dict[str, Any]]:
+    about = read_about(folder)
+    with _faults_named(folder):
         schema = OmegaConf.structured(MODELS.config_type(about["model"]["name"]))
         model = OmegaConf.to_object(OmegaConf.merge(schema, about["model"]))
         assert isinstance(model, QNetworkConfig)
-        n_directions, max_objects = about["directions"], about["max_objects"]
-        network = build_q_network(model, n_directions, max_objects, about["image_size"], 0)
-        network.load_state_dict(load_file(folder / WEIGHTS))
-    except Exception as error:  # damaged files raise all kinds of errors
-        raise SdfgcnError(
-            f"The policy in {folder} is damaged ({type(error).__name__}); train it again or copy "
-            "it anew."
-        ) from error
+        sizes = (about["directions"], about["max_objects"], about["image_size"])
+        weights = read_weights(folder, about, empty_q_network(model, *sizes).state_dict())
+        network = build_q_network(model, *sizes, 0)
+        network.load_state_dict(weights)
     return network.eval().requires_grad_(False), about
+
+
+@contextmanager
+def _faults_named(folder: Path) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # damaged files raise all kinds of errors
+        ours = isinstance(error, policy_file.PolicyFileError | SdfgcnError)
+        reason = str(error).rstrip(".") if ours else type(error).__name__
+        raise SdfgcnError(
+            f"The policy in {folder} is damaged ({reason}); train it again or copy it anew."
+        ) from error

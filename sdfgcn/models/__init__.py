@@ -5,6 +5,9 @@ Each network registers with `sdfgcn.registry.MODELS` where it is defined.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import torch
 
 from sdfgcn.config import ModelConfig, QNetworkConfig, lookup
@@ -47,13 +50,31 @@ def build_q_network(
     Raises:
         SdfgcnError: There is no such network, or its config is inconsistent.
     """
-    build = lookup(q_networks(), "model.name", config.name)
-    assert isinstance(config, QNetworkConfig)
-    config.check_network(image_size)
+    build = _checked(config, image_size)
     if isinstance(generator, int):
         generator = torch.Generator().manual_seed(generator)
     with torch.random.fork_rng(devices=[]):  # layers draw from the global generator first
         torch.manual_seed(generator.initial_seed())
-        network = build(config, n_directions, max_objects, image_size)
+        network = build(n_directions, max_objects, image_size)
     initialise(network, generator)
     return network.to(device)
+
+
+def empty_q_network(
+    config: ModelConfig, n_directions: int, max_objects: int, image_size: int
+) -> QNetwork:
+    """The same network without memory, to see which weights it has; see `build_q_network`.
+
+    Raises:
+        SdfgcnError: There is no such network, or its config is inconsistent.
+    """
+    with torch.device("meta"):
+        return _checked(config, image_size)(n_directions, max_objects, image_size)
+
+
+def _checked(config: ModelConfig, image_size: int) -> Callable[[int, int, int], QNetwork]:
+    """What builds the network, given the numbers of directions and rows and the picture's size."""
+    build = lookup(q_networks(), "model.name", config.name)
+    assert isinstance(config, QNetworkConfig)
+    config.check_network(image_size)
+    return partial(build, config)

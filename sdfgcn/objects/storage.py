@@ -1,4 +1,8 @@
-"""The catalogue cache: one .npz per object, and a manifest written last."""
+"""The catalogue cache: one .npz per object, and a manifest written last.
+
+The manifest holds the checksum of every .npz and one of its own entries. Whatever is read is also
+checked for what an object must be, as a cache without damage may still be of other hands.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +12,18 @@ import json
 import os
 import shutil
 import tempfile
-import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import astuple
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import platformdirs
 from numpy.typing import NDArray
 
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.objects.integrity import check_arrays, check_entry
 from sdfgcn.objects.model import ObjectModel, Rest
 
 MANIFEST = "manifest.json"
@@ -77,23 +82,43 @@ def write_models(target: Path, models: list[ObjectModel]) -> None:
                     "sha256": hashlib.sha256(content).hexdigest(),
                 }
             )
-        (scratch / MANIFEST).write_text(json.dumps({"objects": entries}, indent=1))
+        manifest = {"sha256": _checksum(entries), "objects": entries}
+        (scratch / MANIFEST).write_text(json.dumps(manifest, indent=1))
 
 
 def read_models(folder: Path, split: str) -> tuple[ObjectModel, ...]:
     """Read one split of a cached catalogue, checking every file against the manifest.
 
     Raises:
-        SdfgcnError: A file is missing, truncated or altered.
+        SdfgcnError: A file is missing, truncated or altered, or holds what is no object.
     """
     with _damage_named(folder, folder / MANIFEST):
-        entries = json.loads((folder / MANIFEST).read_text())["objects"]
+        entries = _entries(json.loads((folder / MANIFEST).read_text(encoding="utf-8")))
         mine = [entry for entry in entries if entry["split"] == split]
     return tuple(_read_model(folder, entry) for entry in mine)
 
 
+def _entries(manifest: Any) -> list[dict]:
+    """The objects of a manifest, checked.
+
+    Caches of before there was a checksum of the manifest have none, and need not be built anew.
+    """
+    if not (isinstance(manifest, dict) and manifest.keys() <= {"sha256", "objects"}):
+        raise ValueError("it is no manifest of a catalogue")
+    entries = manifest["objects"]
+    if manifest.get("sha256", None) not in (None, _checksum(entries)):
+        raise ValueError("its checksum does not match its entries")
+    for entry in entries:
+        check_entry(entry)
+    return entries
+
+
+def _checksum(entries: list[dict]) -> str:
+    return hashlib.sha256(json.dumps(entries, sort_keys=True).encode()).hexdigest()
+
+
 def _read_model(folder: Path, entry: dict) -> ObjectModel:
-    path = folder / entry["file"]
+    path = folder / f"{entry['name']}.npz"
     with _damage_named(folder, path):
         content = path.read_bytes()
         if hashlib.sha256(content).hexdigest() != entry["sha256"]:
@@ -105,7 +130,7 @@ def _read_model(folder: Path, entry: dict) -> ObjectModel:
 def _damage_named(folder: Path, path: Path) -> Iterator[None]:
     try:
         yield
-    except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
+    except Exception as error:  # damaged files raise all kinds of errors
         reason = error.strerror if isinstance(error, OSError) else str(error)
         raise SdfgcnError(
             f"The object cache file {path} is damaged ({reason}); delete the folder {folder} and "
@@ -126,6 +151,7 @@ def _pack(model: ObjectModel) -> bytes:
 
 def _unpack(content: bytes, entry: dict) -> ObjectModel:
     with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+        check_arrays(dict(arrays))
         return ObjectModel(
             name=entry["name"],
             category=entry["category"],

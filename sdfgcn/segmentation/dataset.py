@@ -147,8 +147,13 @@ def _read(files: Sequence[Path]) -> Pictures:
     for file in tqdm(files, desc="Reading pictures", unit="shard", disable=None):
         try:
             with np.load(file, allow_pickle=False) as arrays:
-                pixels.append(arrays["pixels"])
-                labels.append(arrays["labels"])
+                shard = arrays["pixels"], arrays["labels"]
+            if not (shard[0].dtype == shard[1].dtype == np.uint8):
+                raise ValueError("they are not of bytes")
+            if shard[0].shape != (*shard[1].shape, 3):
+                raise ValueError("pictures and labels differ in shape")
+            pixels.append(shard[0])
+            labels.append(shard[1])
         except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
             raise SdfgcnError(
                 f"The cached pictures {file} are damaged ({error}); delete that file and run "

@@ -225,6 +225,7 @@ def validation_views(config: SegmentationTrainingConfig) -> list[Example]:
 
 
 def _read_checkpoint(path: Path) -> dict[str, Any]:
+    """Read the file as data: with `weights_only`, torch refuses one that would run code."""
     try:
         state = torch.load(path, weights_only=True)
         missing = {"config", "network", "optimiser", "step", "seconds", "rows"} - set(state)

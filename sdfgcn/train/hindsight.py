@@ -7,12 +7,11 @@ recomputed for it.
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from torch import Tensor
 
 from sdfgcn.config import EnvConfig, HerConfig
@@ -75,20 +74,16 @@ class Hindsight:
     ) -> TensorDictBase | None:
         return relabelled(pushes, achieved, self._her.min_displacement, self._env)
 
-    def dump(self, path: Path) -> None:
-        """Write the unfinished episode, for a checkpoint."""
+    def state_dict(self) -> dict[str, Any]:
+        """The unfinished episode, for a checkpoint."""
         episode = [*self._carried, *(push for pushes in self._open.values() for push in pushes)]
-        if episode:
-            stacked: TensorDictBase = torch.stack(episode)  # type: ignore[assignment, arg-type]
-            stacked.contiguous().memmap(path / "episode")
+        return {"episode": torch.stack(episode).contiguous() if episode else None}
 
-    def load(self, path: Path) -> None:
+    def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore the unfinished episode from a checkpoint."""
         self._open.clear()
-        self._carried = []
-        if (path / "episode").exists():
-            episode = TensorDict.load_memmap(path / "episode")
-            self._carried = list(episode.clone().unbind(0))
+        episode = state["episode"]
+        self._carried = [] if episode is None else list(episode.unbind(0))
 
     def forget_episode(self) -> None:
         """Drop the checkpoint's unfinished episode: the collectors start new ones."""

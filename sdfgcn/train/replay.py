@@ -7,8 +7,9 @@ megabytes in a compressed checkpoint.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tensordict import TensorDictBase
@@ -16,11 +17,16 @@ from torchrl.data import LazyTensorStorage, ReplayBuffer
 from torchrl.data.replay_buffers import RandomSampler
 from torchrl.envs.transforms import Transform
 
-from sdfgcn.config import Config
+from sdfgcn.config import Config, EnvConfig
 from sdfgcn.perception.sdf import SdfTransform
 from sdfgcn.task.push_space import PushSpace
 from sdfgcn.task.scene import Scene
+from sdfgcn.train.collectors import TrainingEnv
 from sdfgcn.train.mirror import MirrorTransform
+
+# How much larger than expected transitions may be, for fields that an env of one's own adds.
+MARGIN = 2
+_FLAGS_BYTES = 128  # reward, flags and counters of an observation
 
 
 class Replay:
@@ -37,9 +43,7 @@ class Replay:
             sampler=RandomSampler(),
             batch_size=train.batch_size,
         )
-        filled = _Filled(self.buffer)
-        self.buffer.register_save_hook(filled.cut)
-        self.buffer.register_load_hook(filled.padded)
+        self._capacity, self._transition_bytes = train.replay_capacity, _transition_bytes(env)
         self.buffer.append_transform(_Unpack(self._sdf))
         if config.augment.name == "mirror":
             push_space = PushSpace(env.push, env.arena)
@@ -70,6 +74,33 @@ class Replay:
         """Draw a batch [B] in the form that the DQN loss expects."""
         return self.buffer.sample()
 
+    def state_dict(self) -> dict[str, Any]:
+        """The transitions held and the place of the next one, for a checkpoint."""
+        held = self.buffer.storage.get(slice(0, len(self))) if len(self) else None
+        return {"transitions": held, "writer": self.buffer.writer.state_dict()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore the state from a checkpoint.
+
+        Raises:
+            ValueError: The state is not of a buffer of this config.
+        """
+        held, writer = state["transitions"], state["writer"]
+        if held is not None:
+            # The buffer takes memory for as many of them as it can hold.
+            size = sum(value.nbytes for value in held.values(True, True)) / max(len(held), 1)
+            if len(held) > self._capacity or size > MARGIN * self._transition_bytes:
+                raise ValueError(f"{len(held)} transitions of {size:.0f} bytes")
+            self.extend(held)
+        if not 0 <= writer["_cursor"] < self._capacity:
+            raise ValueError(f"a cursor at {writer['_cursor']}")
+        self.buffer.writer.load_state_dict(writer)
+
+    @property
+    def largest(self) -> int:
+        """Bytes of a full buffer, with a margin."""
+        return MARGIN * self._capacity * self._transition_bytes
+
 
 class _Unpack(Transform):
     """Restores SDFs from bits, and copies the goal to "next", where the loss expects it."""
@@ -84,6 +115,17 @@ class _Unpack(Transform):
         return restored
 
 
+def _transition_bytes(env: EnvConfig) -> int:
+    """Bytes of a stored transition: three scenes, and what an observation has besides, twice."""
+    n, size = env.max_objects, env.arena.image_size
+    row = sum(
+        size**2 // 8 if field.as_mask else math.prod(field.shape(size)) * field.dtype.itemsize
+        for field in TrainingEnv.scene_type.declared().values()
+    )
+    rest = n * (env.push.directions + 1)  # the action mask and `matched`, a byte each
+    return 3 * n * row + 2 * (rest + _FLAGS_BYTES)
+
+
 def _scenes_changed(
     transitions: TensorDictBase, change: Callable[[Scene], Scene]
 ) -> TensorDictBase:
@@ -95,19 +137,3 @@ def _scenes_changed(
         elif isinstance(value, TensorDictBase):
             result[key] = _scenes_changed(value, change)
     return result
-
-
-class _Filled:
-    """Save and load hooks that keep only the filled part of a buffer in a checkpoint."""
-
-    def __init__(self, replay: ReplayBuffer) -> None:
-        self._replay = replay
-
-    def cut(self, data: TensorDictBase, path: Path) -> TensorDictBase:
-        return data[: len(self._replay)]
-
-    def padded(self, data: TensorDictBase, out: TensorDictBase | None) -> TensorDictBase:
-        capacity = self._replay.storage.max_size
-        whole = data[:1].expand(capacity).clone()
-        whole[: len(data)] = data
-        return whole

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from tensordict import TensorDictBase
+from torch import Tensor
 
 from sdfgcn.config import Config
 from sdfgcn.files import write_json
@@ -23,11 +24,14 @@ from sdfgcn.train.held_out import HeldOutCurve
 from sdfgcn.train.hindsight import Hindsight
 from sdfgcn.train.progress import Progress
 from sdfgcn.train.replay import Replay
+from sdfgcn.train.state_file import encoded
 
 # What a training has taken so far: `pushes`, `updates` and `hours`.
 Spent = dict[str, float]
 # Called with the network with averaged weights, on the CPU, and what it took.
 KeepNetwork = Callable[[QNetwork, Spent], None]
+
+_REST_BYTES = 2**26  # in a checkpoint: unfinished episodes, generators, counters, JSON
 
 
 @dataclass(frozen=True)
@@ -55,12 +59,24 @@ class TrainingState:
         return {
             "learner": self.learner,
             "policy": self.policy,
-            "replay": self.replay.buffer,
+            "replay": self.replay,
             "hindsight": self.hindsight,
             "curriculum": self.curriculum,
             "progress": self.progress,
             "collector": collector,
         }
+
+    @property
+    def largest(self) -> int:
+        """Bytes that a checkpoint can have unpacked; larger ones are not of this training.
+
+        That is a full replay buffer and the learner, both doubled: Adam's moments come with the
+        first update, and they are two thirds of what the networks take. The rest is small.
+        """
+        tensors: dict[str, Tensor] = {}
+        encoded(self.learner.state_dict(), tensors)
+        learner = sum(tensor.nbytes for tensor in tensors.values())
+        return self.replay.largest + 2 * learner + _REST_BYTES
 
 
 class Trainer:

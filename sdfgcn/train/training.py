@@ -11,7 +11,8 @@ from typing import Any
 
 import torch
 
-from sdfgcn.agents.policy import ABOUT, read_about, save_policy
+from sdfgcn.agents.policy import read_about, save_policy
+from sdfgcn.agents.policy_file import ABOUT
 from sdfgcn.config import Config, EnvConfig
 from sdfgcn.config.diff import differences, flat
 from sdfgcn.errors import SdfgcnError
@@ -188,8 +189,8 @@ def _restored(state: TrainingState, checkpoint: Path, config: Config) -> dict[st
     """Load the checkpoint, if there is one; return the collector's state."""
     collector: dict[str, Any] = {}
     if checkpoint.exists():
-        check_same_learning(checkpoint, config)
-        load_checkpoint(checkpoint, state.parts(collector))
+        check_same_learning(checkpoint, state.largest, config)
+        load_checkpoint(checkpoint, state.parts(collector), state.largest)
         state.policy.load_weights(state.learner.network)
         if not (collector and config.collector.name == "sync"):
             state.progress.forget_episode()
@@ -215,13 +216,19 @@ def learning_config(config: Config) -> dict[str, Any]:
     return {key: value for key, value in flat(values).items() if not key.startswith(_FREE)}
 
 
-def check_same_learning(path: Path, config: Config) -> None:
+def check_same_learning(path: Path, limit: int, config: Config) -> None:
     """Check that a checkpoint belongs to a config.
 
+    Args:
+        path: The checkpoint.
+        limit: The most bytes that it may take unpacked.
+        config: The whole experiment.
+
     Raises:
-        SdfgcnError: It belongs to another; names the keys that differ.
+        SdfgcnError: It belongs to another, and the message names the keys that differ; or it
+            cannot be read.
     """
-    told = differences(checkpoint_config(path), learning_config(config))
+    told = differences(checkpoint_config(path, limit), learning_config(config))
     if told:
         raise SdfgcnError(
             f"{path} is of another training, which differs in {told}; use the same values or "

@@ -279,8 +279,13 @@ def _decomposed(
         with new_folder(folder) as scratch:
             np.savez(scratch / "pieces.npz", *[np.asarray(points) for points, _ in parts])
     try:
-        with np.load(folder / "pieces.npz") as pieces:
-            return tuple(pieces[key] for key in pieces.files)
+        with np.load(folder / "pieces.npz", allow_pickle=False) as stored:
+            pieces = tuple(stored[key] for key in stored.files)
+        if not (pieces and all(piece.shape == (len(piece), 3) for piece in pieces)):
+            raise ValueError("not points")
+        if not all(np.isfinite(piece).all() for piece in pieces):
+            raise ValueError("not finite")
+        return pieces
     except Exception as error:
         raise ValueError(
             f"its cached pieces in {folder} are damaged; delete that folder"

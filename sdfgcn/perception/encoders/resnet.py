@@ -20,6 +20,7 @@ from torch import Tensor, nn, relu_
 from sdfgcn.config import EncoderConfig, one_of
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.perception.encoders.encoder import Encoder
+from sdfgcn.perception.trained import not_finite
 from sdfgcn.registry import ENCODERS
 
 _WIDTHS = (64, 128, 256, 512)
@@ -144,9 +145,12 @@ def _load(network: nn.Module, config: ResNetConfig) -> None:
             "give that network's file as env.perception.encoder.path, or set "
             "env.perception.encoder.depth to the file's."
         ) from error
+    if name := not_finite(state):
+        raise SdfgcnError(f"'{path}' is damaged: its weights '{name}' are not finite.")
 
 
 def _read(path: Path) -> dict[str, Tensor]:
+    """Read a user's file as data; neither way runs code that a file may hold."""
     try:
         if path.suffix == ".safetensors":
             return load_file(path)

@@ -16,6 +16,7 @@ from sdfgcn.files import replaced
 from sdfgcn.perception.segmenters.clustering import cluster, masks_of
 from sdfgcn.perception.segmenters.config import UCNConfig
 from sdfgcn.perception.segmenters.network import UCN
+from sdfgcn.perception.trained import not_finite
 from sdfgcn.registry import SEGMENTERS
 
 SHIPPED = Path(__file__).parents[1] / "weights" / "ucn.safetensors"
@@ -67,7 +68,7 @@ def make_network(config: UCNConfig) -> UCN:
 
 
 def load_network(config: UCNConfig) -> UCN:
-    """Load the trained network.
+    """Load the trained network from `config.weights`, a safetensors file, or the shipped one.
 
     Raises:
         SdfgcnError: The file is missing, damaged, or for other network sizes.
@@ -97,6 +98,11 @@ def load_network(config: UCNConfig) -> UCN:
             f"The segmentation weights {path} lack layers or have others than this network; train "
             "them anew with `python -m sdfgcn.segmentation.train`."
         ) from error
+    if name := not_finite(tensors):
+        raise SdfgcnError(
+            f"The segmentation weights {path} are damaged ('{name}' is not finite); train them "
+            "anew with `python -m sdfgcn.segmentation.train`."
+        )
     return network.eval()
 
 
