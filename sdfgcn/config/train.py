@@ -51,7 +51,7 @@ class CurriculumConfig:
 
     name: str = MISSING
     counts: list[int] = rising(1, 100, default=[])
-    window: int = number(1, 1_000_000, default=1)
+    window: int = number(0, 1_000_000, default=0)
     success_threshold: float = fraction(default=0.0)
     confidence: float = number(0.5, below=1, default=0.5)
     newest_share: float = fraction(default=0.0)
