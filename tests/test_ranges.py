@@ -265,10 +265,8 @@ NEVER = {"nan", "inf", "-inf", "1e30", "''", "abc", "{a: 1}", "true"}  # for no 
 def drawn(rng: random.Random, config: Any) -> tuple[str, Any, str]:
     """A key of a config, its value, and a malformed one as it is typed."""
     key, value = rng.choice([*leaves(config)])
-    odd = [
-        *ODD,
-        *([f"{value[::-1]}", f"{[*value, *value[:1]]}"] if isinstance(value, list) else []),
-    ]
+    more = [value[::-1], [*value, *value[:1]]] if isinstance(value, list) else []
+    odd = [*ODD, *map(str, more)]
     return key, value, rng.choice(odd)
 
 
