@@ -7,6 +7,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import cache
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -325,6 +326,42 @@ def test_a_malformed_value_ends_in_a_sentence_or_is_legal() -> None:
             _, owner, name = owner_of(config, key)
             assert type(None) in get_args(get_type_hints(type(owner))[name]), case
     assert refused > 0.6 * DRAWS
+
+
+# What once ended as done, or in a traceback.
+REFUSED = """
+    env.physics.timestep=0 env.physics.impratio=nan env.physics.sliding_friction=-1
+    env.physics.sliding_friction=nan env.physics.rolling_friction=inf env.physics.settle_seconds=inf
+    env.physics.solref=[nan,1] env.physics.solref=[-1,1] env.physics.cone=round
+    env.push.length=nan env.push.length=-1 env.push.speed=inf env.push.clearance=nan
+    env.push.height=-1 env.push.height=inf env.push.plane_height=nan env.push.approach=inf
+    env.arena.camera_tilt=-30 env.arena.camera_tilt=nan env.arena.camera_fovy=0
+    env.arena.camera_fovy=180 env.arena.camera_distance=-1 env.arena.camera_distance=inf
+    env.arena.spawn_x=[0.2,-0.2] env.arena.spawn_x=[0.1] env.arena.spawn_y=[nan,0.1]
+    env.arena.range_x=[-inf,inf] env.arena.reach_y=[0.4,-0.2] env.arena.table_rgba=[1,1]
+    env.arena.image_size=0 env.arena.image_size=-96 env.arena.image_size=100000
+    env.success_threshold=nan env.success_threshold=-1 env.success_threshold=inf
+    env.reward.progress=nan env.reward.success=inf env.reward.floor=nan
+    env.scenario.max_tries=-1 eval.episodes=1000000000 eval.epsilon=nan eval.epsilon=2
+    budget.minutes=0 budget.minutes=-1 budget.minutes=nan curriculum.window=-3
+    curriculum.counts=[4,2] collector.workers=-1 train.learning_rate=nan train.learning_rate=inf
+    train.utd_ratio=nan train.replay_capacity=10000000000 runtime.device=tpu
+    env.perception.min_pixels=0
+"""
+
+
+@pytest.mark.parametrize("override", REFUSED.split())
+def test_nonsense_is_refused(override: str) -> None:
+    config, (key, _, text) = real_config(*COMPONENTS[0]), override.partition("=")
+    told, _ = outcome(config, tree_of(COMPONENTS[0]), key, text)
+    assert told is not None
+    assert told.startswith(f"{key} is "), told
+    assert " must " in told
+
+
+@cache
+def tree_of(overrides: tuple[str, ...]) -> DictConfig:
+    return OmegaConf.structured(real_config(*overrides))
 
 
 @pytest.mark.parametrize("seed", range(8))

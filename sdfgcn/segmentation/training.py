@@ -143,9 +143,9 @@ class Training:
         norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
         if not (pull + push + norm).isfinite():
             raise SdfgcnError(
-                f"In update {self.step + 1}, the loss is {pull.item() + push.item():g} and the norm "
-                f"of its gradient {norm.item():g}, so training cannot go on: lower learning_rate "
-                f"(now {config.learning_rate:g})."
+                f"In update {self.step + 1}, the loss is {(pull + push).item():g} and the norm of "
+                f"its gradient {norm.item():g}, so training cannot go on: lower learning_rate (now "
+                f"{config.learning_rate:g})."
             )
         self._optimiser.step()
         return pull.item(), push.item()
