@@ -327,7 +327,7 @@ def test_training_pictures_are_labelled_and_a_damaged_shard_is_named(tmp_path: P
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("steps=0", "steps is 0, but must be at least 1"),
+        ("steps=0", "steps is 0, but must lie between 1 and"),
         ("arrangements.n_objects=[3,2]", r"arrangements\.n_objects is \[3, 2\]"),
         ("~objects@catalogues.household", "catalogues is empty"),
     ],
