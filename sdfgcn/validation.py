@@ -11,7 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from sdfgcn.config import Config, QNetworkConfig, SegmentationTrainingConfig, check_ranges
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.registry import OBJECTS, REGISTRIES, Registry
+from sdfgcn.registry import MODELS, OBJECTS, REGISTRIES, Registry
 
 T = TypeVar("T", Config, SegmentationTrainingConfig)
 
@@ -113,6 +113,7 @@ def validate(config: Config) -> None:
             "eval.split alone, and env.split follows it."
         )
     _validate_device(config.runtime.device)
+    _validate_baseline(config)
     for component in (config.model, config.logger, config.viz):
         component.check(config)
     trained = isinstance(config.model, QNetworkConfig) and config.checkpoint is None
@@ -133,11 +134,18 @@ def validate(config: Config) -> None:
 def _validate_env(config: Config) -> None:
     env = config.env
     check_ranges(env, "env")
-    if not 1 <= env.n_objects <= env.max_objects:
+    if env.n_objects > env.max_objects:
         raise SdfgcnError(
             f"n_objects is {env.n_objects}, but must lie between 1 and env.max_objects "
             f"({env.max_objects})."
         )
+    for axis in ("x", "y"):
+        spawn, allowed = getattr(env.arena, f"spawn_{axis}"), getattr(env.arena, f"range_{axis}")
+        if not allowed[0] <= spawn[0] <= spawn[1] <= allowed[1]:
+            raise SdfgcnError(
+                f"env.arena.spawn_{axis} is {spawn}, but must lie within env.arena.range_{axis} "
+                f"({allowed}), outside which an episode has failed."
+            )
     ticks = env.push.control_timestep / env.physics.timestep
     if not (ticks >= 0.5 and abs(ticks - round(ticks)) < 1e-6):
         raise SdfgcnError(
@@ -151,6 +159,19 @@ def _validate_env(config: Config) -> None:
         component.check(config)
 
 
+def _validate_baseline(config: Config) -> None:
+    """The baseline plays after the model, which is late to find that it cannot."""
+    untrained = [
+        name for name in MODELS if not issubclass(MODELS.config_type(name), QNetworkConfig)
+    ]
+    baseline = config.eval.baseline
+    if baseline not in (None, config.model.name, *untrained):
+        raise SdfgcnError(
+            f"eval.baseline is '{baseline}', but must be null or a model without weights: "
+            f"{', '.join(untrained)}."
+        )
+
+
 def _validate_device(device: str) -> None:
     if device.startswith("cuda"):
         import torch  # here, as the import takes seconds
@@ -159,14 +180,25 @@ def _validate_device(device: str) -> None:
             raise SdfgcnError(
                 f"runtime.device is '{device}', but torch sees no GPU here; use runtime=cpu."
             )
+        number = int(device.partition(":")[2] or 0)
+        if number and number >= torch.cuda.device_count():
+            raise SdfgcnError(
+                f"runtime.device is '{device}', but the last GPU here is "
+                f"cuda:{torch.cuda.device_count() - 1}."
+            )
 
 
 def _validate_training(config: Config) -> None:
     train, counts = config.train, config.curriculum.counts
-    if counts and not (min(counts) >= 1 and max(counts) <= config.env.max_objects):
+    if counts and max(counts) > config.env.max_objects:
         raise SdfgcnError(
             f"curriculum.counts is {counts}, but every count must lie between 1 and "
             f"env.max_objects ({config.env.max_objects})."
+        )
+    if config.curriculum.name == "on" and config.curriculum.window == 0:
+        raise SdfgcnError(
+            "curriculum.window is 0, but must be at least 1 with curriculum=on: the number of "
+            "episodes that measure a success rate."
         )
     for lesser, greater in (
         ("epsilon_end", "epsilon_start"),

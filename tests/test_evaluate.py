@@ -1,5 +1,6 @@
 import csv
 import dataclasses
+import math
 import os
 import subprocess
 import sys
@@ -18,6 +19,7 @@ from tensordict import TensorDict
 from tensordict.nn import TensorDictModuleBase
 
 from sdfgcn.agents import build_agent
+from sdfgcn.agents.epsilon_greedy import EpsilonGreedy, QAgent
 from sdfgcn.config import Config
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.episodes import EpisodeResult
@@ -253,3 +255,40 @@ def test_watching_passes_episodes_on_and_logs_them(name: str, tmp_path: Path) ->
         so_far = np.cumsum([episode.success for episode in episodes]) / np.arange(1, 5)
         assert rates == pytest.approx(so_far[1:].tolist())
         assert sorted({row["step"] for row in rows}) == ["2", "3", "4"]
+
+
+class Broken(TensorDictModuleBase):
+    """Values every push by one number, and with `at`, from that push of an episode on."""
+
+    in_keys = ("pushes",)
+    out_keys = ("action_value",)
+
+    def __init__(self, value: float, at: int = 0) -> None:
+        super().__init__()
+        self.value, self.at = value, at
+
+    def forward(self, td: TensorDict) -> TensorDict:
+        wrong = int(td["pushes"]) >= self.at
+        td["action_value"] = torch.full(td["action_mask"].shape, self.value if wrong else 0.0)
+        return td
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+@pytest.mark.parametrize("at", [0, 2])
+def test_q_values_that_are_not_finite_name_the_episode(value: float, at: int) -> None:
+    world = PointWorld(config("n_objects=2").env)
+    agent = EpsilonGreedy(QAgent(Broken(value, at)), np.random.default_rng(0), 0.0, None)
+    told = rf"^The Q-values of push {at + 1} in episode 5 \(seed 11\) are not finite:"
+    with pytest.raises(SdfgcnError, match=told):
+        play_episode(world, agent, episode=5, seed=11)
+
+
+def test_only_legal_pushes_need_a_finite_value() -> None:
+    class Masking(Broken):
+        def forward(self, td: TensorDict) -> TensorDict:
+            td["action_value"] = torch.where(td["action_mask"], 0.0, -torch.inf)
+            return td
+
+    world = PointWorld(config("n_objects=2", "env.pushes_per_object=1").env)
+    agent = EpsilonGreedy(QAgent(Masking(0.0)), np.random.default_rng(0), 0.0, None)
+    assert play_episode(world, agent, episode=0, seed=11).pushes > 0

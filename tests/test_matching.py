@@ -397,10 +397,10 @@ def test_what_an_encoder_cannot_be(changes, message):
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("patch=0", "patch is 0.0, but must be above 0"),
-        ("input_size=8", "input_size is 8, but must be at least 32"),
-        ("rotations=0", "rotations is 0, but must be at least 1"),
-        ("color_weight=-1", "color_weight is -1.0, but must be at least 0"),
+        ("patch=0", "patch is 0.0, but must lie between 0.02 and 1"),
+        ("input_size=8", "input_size is 8, but must lie between 32 and 512"),
+        ("rotations=0", "rotations is 0, but must lie between 1 and 360"),
+        ("color_weight=-1", "color_weight is -1.0, but must lie between 0 and 1000"),
     ],
 )
 def test_numbers_out_of_range(override, message):

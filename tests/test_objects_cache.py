@@ -256,7 +256,7 @@ def test_unwritable_cache_is_one_sentence(cfg, tmp_path, monkeypatch):
         ({"name": "nonsense"}, "must be one of"),
         ({"footprint_min": 0.2}, "footprint_min is 0.2"),
         ({"settle_drops": 0}, "settle_drops is 0"),
-        ({"settle_friction": [0.3]}, "three"),
+        ({"settle_friction": [0.3]}, "must be 3 numbers between 0 and 10"),
         ({"palette": [[1.0, 2.0, 0.0]]}, "palette"),
     ],
 )

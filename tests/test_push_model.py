@@ -252,3 +252,14 @@ def test_it_learns_where_pushes_lead():
     assert figures["moved_mm"] == pytest.approx(40.0, abs=0.1)
     assert figures["error_mm"] < 10.0
     assert figures["explained"] > 0.9
+
+
+def test_a_batch_in_which_nothing_is_known_teaches_nothing():
+    learner = DisplacementLearner(network(), Categorical(2 * D), config().train, "cpu")
+    before = [weights.detach().clone() for weights in learner.network.parameters()]
+    scenes, unmatched = discs((0.0, 0.0, 0.03)), torch.zeros(1, 1, dtype=torch.bool)
+    after = {"scene": scenes.clone(), "matched": unmatched}
+    seen = {"scene": scenes, "action": torch.tensor([0]), "matched": unmatched, "next": after}
+    assert learner.update(TensorDict(seen, [1]))["loss"] == 0.0
+    after_it = list(learner.network.parameters())
+    assert all(torch.equal(a, b) for a, b in zip(before, after_it, strict=True))

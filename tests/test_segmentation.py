@@ -17,6 +17,7 @@ from sdfgcn.perception.segmenters.clustering import cluster, masks_of
 from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
 from sdfgcn.registry import SEGMENTERS
 from sdfgcn.segmentation import dataset, training
+from sdfgcn.segmentation.dataset import Pictures
 from sdfgcn.segmentation.loss import clustering_loss
 from sdfgcn.segmentation.metrics import match_masks, score_masks
 from sdfgcn.segmentation.scores import Example, shifted_look, summary, views
@@ -336,7 +337,7 @@ def test_training_pictures_are_labelled_and_a_damaged_shard_is_named(tmp_path: P
 @pytest.mark.parametrize(
     ("override", "message"),
     [
-        ("steps=0", "steps is 0, but must be at least 1"),
+        ("steps=0", "steps is 0, but must lie between 1 and"),
         ("arrangements.n_objects=[3,2]", r"arrangements\.n_objects is \[3, 2\]"),
         ("~objects@catalogues.household", "catalogues is empty"),
     ],
@@ -352,3 +353,17 @@ def test_help_shows_every_key_with_its_comment(capsys) -> None:
     assert "KEY=VALUE" in told
     assert "learning_rate: 2.0e-3 # " in told
     assert "appearances: 5 # " in told
+
+
+def test_a_loss_that_is_not_finite_names_the_update(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def endless(embedding, *rest):
+        return embedding.sum() * torch.nan, embedding.sum()
+
+    monkeypatch.setattr(training, "clustering_loss", endless)
+    trained = training.Training(training_config(), tmp_path)
+    trained.step = 7
+    pictures = Pictures(np.zeros((2, 96, 96, 3), np.uint8), np.zeros((2, 96, 96), np.uint8))
+    with pytest.raises(SdfgcnError, match=r"^In update 8, the loss is nan .* lower learning_rate"):
+        trained._update(pictures)

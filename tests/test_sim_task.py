@@ -1,19 +1,23 @@
 """The task: what is seen of it, what it remembers, and how an episode ends."""
 
+from contextlib import closing
+
 import mujoco
 import numpy as np
 import pytest
 from configs import real_config
 from conftest import Envs
 from dm_control.mujoco import engine, wrapper
-from toys import BALL, BOX, CAN, SLAB, act, begin, lay_out
+from toys import BALL, BOX, CAN, SLAB, act, begin, lay_out, toy_env
 
 from sdfgcn.envs.rearrangement import RearrangementEnv
+from sdfgcn.errors import SdfgcnError
 from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.arena import CAMERA, GROUP_SCENE
 from sdfgcn.sim.episode import draw_episode
 from sdfgcn.task.camera import camera_model
 from sdfgcn.task.push_space import PushPlan
+from sdfgcn.task.world import PushResult
 
 DIRECTIONS = 8
 
@@ -327,3 +331,22 @@ def test_episode_starts_where_it_was_drawn_and_lies_still(env_of: Envs):
         assert [model.name for model in env.episode_start.truth.objects] == [
             env.world.catalogue[i].name for i in episode.objects
         ]
+
+
+def test_an_unstable_simulation_names_its_episode(monkeypatch):
+    """MuJoCo itself only warns, and goes on from the model's own initial state."""
+
+    def explode(physics, *rest):
+        physics.data.qvel[:] = 1e12
+        mujoco.mj_step(physics.model.ptr, physics.data.ptr)
+        return PushResult("done", np.zeros(3), np.zeros(3))
+
+    with closing(toy_env(real_config("objects=household", "robot=gripper").env)) as env:
+        task, seed = env.world.task, 41
+        begin(env, draw_episode(seed, env.world.catalogue, env.config))
+        monkeypatch.setattr(task._primitive, "execute", explode)
+        with pytest.raises(SdfgcnError, match=r"^The simulation became unstable in the episode of"):
+            env.world.execute(None)
+        monkeypatch.setattr(task, "_settle", explode)
+        with pytest.raises(SdfgcnError, match=rf"the episode of seed {seed}: use a smaller env"):
+            env.world.begin(task.episode)

@@ -11,6 +11,7 @@ from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
+from sdfgcn.errors import SdfgcnError
 from sdfgcn.task.push_space import PushSpace
 from sdfgcn.train.exploration import EpsilonGreedyPolicy
 from sdfgcn.train.learner import Learner
@@ -168,3 +169,16 @@ def test_who_pushes_follows_the_learner() -> None:
     policy.load_weights(held.network)
     td = policy.module(batch(0.0, False, [0]).exclude("next"))
     assert float(td["action_value"][0, 0]) == float(held.network.values[0].detach()) != 1.0
+
+
+@pytest.mark.parametrize("reward", [float("nan"), float("inf")])
+def test_a_loss_that_is_not_finite_ends_the_training(reward: float) -> None:
+    learning = learner()
+    learning.update(batch(1.0, True, [0]))
+    before = learning.network.values.detach().clone()
+    with pytest.raises(
+        SdfgcnError, match=r"^In update 2, the loss is (nan|inf) and .* (nan|inf), so"
+    ):
+        learning.update(batch(reward, True, [0]))
+    assert torch.equal(learning.network.values, before)
+    assert learning.updates == 1

@@ -114,3 +114,16 @@ def test_tensorboard_gets_the_figures(tmp_path: Path) -> None:
     pytest.importorskip("tensorboard")
     TensorboardLogger(real_config().logger, tmp_path).log(3, {"train/loss": 0.5})
     assert list((tmp_path / "tensorboard").glob("events.*"))
+
+
+def test_a_layout_that_does_not_fit_is_told_from_another_process(tmp_path: Path) -> None:
+    wide = (
+        "+train.env.scenario.spacing=2",
+        "env.scenario.max_tries=1",
+        f"hydra.run.dir={tmp_path}",
+    )
+    done = run(*SMALL, "model=gt_pose_gcn", "collector=async", *wide)
+    assert done.returncode == 1
+    assert done.stderr.startswith("No random layout of 2 objects was found in 200 draws; use fewer")
+    assert done.stderr.count("\n") == 1
+    assert json.loads((tmp_path / "status.json").read_text())["state"] == "failed"

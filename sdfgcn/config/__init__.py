@@ -5,17 +5,25 @@ keys are checked by `sdfgcn/validation.py`. A config is never mutated once it is
 """
 
 from sdfgcn.config.base import (
+    MAX_SEED,
     SPLITS,
     ComponentConfig,
     at_least,
     below_one,
     check_ranges,
+    colour,
+    colours,
     fraction,
     interval,
     lookup,
+    matching,
+    number,
     one_of,
     positive,
+    range_text,
     ranged,
+    rising,
+    several,
     vector,
 )
 from sdfgcn.config.comparison import ComparisonConfig, MethodConfig

@@ -10,14 +10,16 @@ from omegaconf import MISSING
 from sdfgcn.config.base import (
     SPLITS,
     ComponentConfig,
-    at_least,
     below_one,
     check_ranges,
-    fraction,
+    colour,
+    colours,
     interval,
+    number,
     one_of,
     positive,
     ranged,
+    several,
     vector,
 )
 from sdfgcn.errors import SdfgcnError
@@ -30,35 +32,24 @@ if TYPE_CHECKING:
 class ObjectsConfig(ComponentConfig):
     """The object catalogue (`conf/objects/`)."""
 
-    footprint_min: float = positive()
-    footprint_max: float = positive()
-    height_max: float = positive()
-    thickness_min: float = positive()
-    mass_min: float = positive()
-    mass_max: float = positive()
-    density: float = positive()
-    max_faces: int = at_least(100)
-    max_pieces: int = at_least(1)
-    max_piece_vertices: int = at_least(8)
-    texture_size: int = at_least(1)
-    settle_drops: int = at_least(1)
-    settle_seconds: float = positive()
-    settle_speed: float = positive()
-    settle_friction: list[float] = ranged(
-        lambda value: len(value) == 3 and min(value) >= 0,
-        "must hold three numbers from 0 on: sliding, torsional and rolling friction",
-        whole=True,
-    )
+    footprint_min: float = positive(1)
+    footprint_max: float = positive(1)
+    height_max: float = positive(1)
+    thickness_min: float = positive(1)
+    mass_min: float = number(1e-6, 100)
+    mass_max: float = number(1e-6, 100)
+    density: float = positive(30_000)
+    max_faces: int = number(100, 1_000_000)
+    max_pieces: int = number(1, 1000)
+    max_piece_vertices: int = number(8, 1000)
+    texture_size: int = number(1, 4096)
+    settle_drops: int = number(1, 10_000)
+    settle_seconds: float = positive(60)
+    settle_speed: float = positive(1)
+    settle_friction: list[float] = vector(3, 0, 10)
     settle_min_probability: float = below_one()
-    settle_min_tilt: float = at_least(0)
-    palette: list[list[float]] = ranged(
-        lambda colours: (
-            len(colours) > 0
-            and all(len(colour) == 3 and 0 <= min(colour) <= max(colour) <= 1 for colour in colours)
-        ),
-        "must list colours of three numbers between 0 and 1 (red, green, blue)",
-        whole=True,
-    )
+    settle_min_tilt: float = number(0, 90)
+    palette: list[list[float]] = colours()
 
     def check(self, config: Config) -> None:
         """See `check_limits`, which needs no other part of the config."""
@@ -84,52 +75,52 @@ class ObjectsConfig(ComponentConfig):
 class RobotConfig(ComponentConfig):
     """The robot that executes the push (`conf/robot/`)."""
 
-    home: list[float] = MISSING
-    lead: float = at_least(0)
-    acceleration: float = positive()
+    home: list[float] = several(-10, 10)
+    lead: float = number(0, 10)
+    acceleration: float = number(0.01, 1000)
 
 
 @dataclass
 class ScenarioConfig(ComponentConfig):
     """How start and goal layouts are drawn (`conf/scenario/`)."""
 
-    spacing: float = at_least(0)
-    gap: float = at_least(0)
-    max_tries: int = at_least(1)
+    spacing: float = number(0, 5)
+    gap: float = number(0, 5)
+    max_tries: int = number(1, 100_000)
 
 
 @dataclass
 class ArenaConfig:
     """Table, camera and the regions on the table (`conf/env/`)."""
 
-    spawn_x: list[float] = interval()
-    spawn_y: list[float] = interval()
-    range_x: list[float] = interval()
-    range_y: list[float] = interval()
-    reach_x: list[float] = interval()
-    reach_y: list[float] = interval()
-    table_rgba: list[float] = fraction()
-    camera_tilt: float = ranged(lambda value: 0 <= value < 90, "must be at least 0 and below 90")
-    camera_fovy: float = ranged(lambda value: 0 < value < 180, "must be above 0 and below 180")
-    camera_distance: float = positive()
-    camera_target: list[float] = vector(2)
-    image_size: int = at_least(1)
+    spawn_x: list[float] = interval(-2, 2)
+    spawn_y: list[float] = interval(-2, 2)
+    range_x: list[float] = interval(-2, 2)
+    range_y: list[float] = interval(-2, 2)
+    reach_x: list[float] = interval(-2, 2)
+    reach_y: list[float] = interval(-2, 2)
+    table_rgba: list[float] = colour(4)
+    camera_tilt: float = number(0, 75)
+    camera_fovy: float = number(1, 150)
+    camera_distance: float = number(0.4, 10)
+    camera_target: list[float] = vector(2, -2, 2)
+    image_size: int = number(8, 1024)
 
 
 @dataclass
 class PhysicsConfig:
     """MuJoCo options and contact parameters (`conf/env/`)."""
 
-    timestep: float = positive()
+    timestep: float = number(1e-4, 0.05)
     cone: str = one_of("elliptic", "pyramidal")
-    impratio: float = positive()
-    ccd_tolerance: float = positive()
-    sliding_friction: float = at_least(0)
-    rolling_friction: float = at_least(0)
-    solref: list[float] = vector(2)
-    sleep_tolerance: float = at_least(0)
-    settle_seconds: float = at_least(0)
-    noslip_iterations: int = at_least(0)
+    impratio: float = number(0.01, 100)
+    ccd_tolerance: float = number(1e-9, 0.01)
+    sliding_friction: float = number(0, 10)
+    rolling_friction: float = number(0, 1)
+    solref: list[float] = vector(2, 1e-4, 10)
+    sleep_tolerance: float = number(0, 1)
+    settle_seconds: float = number(0, 60)
+    noslip_iterations: int = number(0, 1000)
 
 
 @dataclass
@@ -137,22 +128,22 @@ class PushConfig:
     """The push primitive (`conf/env/`)."""
 
     directions: int = ranged(
-        lambda value: value >= 4 and value % 2 == 0, "must be an even number from 4 on"
+        lambda value: 4 <= value <= 128 and value % 2 == 0, "must be an even number from 4 to 128"
     )
-    length: float = positive()
+    length: float = positive(1)
     length_from: str = one_of("start", "surface", "touch")
-    clearance: float = at_least(0)
-    search_step: float = positive()
-    height: float = at_least(0)
-    approach: float = at_least(0)
-    speed: float = positive()
-    acceleration: float = positive()
-    descent_speed: float = positive()
-    retreat: float = at_least(0)
-    lift_speed: float = positive()
-    control_timestep: float = positive()
-    waypoint_spacing: float = positive()
-    plane_height: float = at_least(0)
+    clearance: float = number(0, 0.2)
+    search_step: float = number(1e-4, 0.1)
+    height: float = number(0, 0.1)
+    approach: float = number(0.01, 0.5)
+    speed: float = number(0.001, 10)
+    acceleration: float = number(0.01, 1000)
+    descent_speed: float = number(0.001, 10)
+    retreat: float = number(0, 0.5)
+    lift_speed: float = number(0.001, 10)
+    control_timestep: float = number(1e-4, 0.5)
+    waypoint_spacing: float = number(0.001, 1)
+    plane_height: float = number(0, 0.1)
 
 
 @dataclass
@@ -160,25 +151,25 @@ class RewardConfig:
     """Reward terms (`conf/reward/`; paper section IV d and the authors' code)."""
 
     name: str = MISSING
-    progress: float = MISSING
-    step: float = MISSING
-    floor: float | None = MISSING
-    success: float = MISSING
-    out_of_range: float = MISSING
-    vanished: float = MISSING
-    none_left: float = MISSING
+    progress: float = number(-1e6, 1e6)
+    step: float = number(-1e6, 1e6)
+    floor: float | None = number(-1e6, 1e6)
+    success: float = number(-1e6, 1e6)
+    out_of_range: float = number(-1e6, 1e6)
+    vanished: float = number(-1e6, 1e6)
+    none_left: float = number(-1e6, 1e6)
 
 
 @dataclass
 class EncoderConfig(ComponentConfig):
     """The features by which objects are matched (`conf/encoder/`)."""
 
-    stages: list[int] = at_least(1)
-    patch: float = ranged(lambda value: 0 < value <= 1, "must be above 0 and at most 1")
-    input_size: int = at_least(32)
-    rotations: int = at_least(1)
-    color_weight: float = at_least(0)
-    camera_tilt: float = MISSING
+    stages: list[int] = several(1, 100)
+    patch: float = number(0.02, 1)
+    input_size: int = number(32, 512)
+    rotations: int = number(1, 360)
+    color_weight: float = number(0, 1000)
+    camera_tilt: float = number(0, 75)
 
 
 @dataclass
@@ -190,8 +181,8 @@ class SegmentationConfig(ComponentConfig):
 class PerceptionConfig(ComponentConfig):
     """From a picture to masks and SDFs (`conf/perception/`)."""
 
-    min_pixels: int = at_least(0)
-    sdf: str = MISSING
+    min_pixels: int = number(1, 1_000_000)
+    sdf: str = one_of("fmm", "edt")
     encoder: EncoderConfig = field(default_factory=EncoderConfig)
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
 
@@ -206,11 +197,11 @@ class EnvConfig:
     """The task and everything it depends on (`conf/env/`)."""
 
     name: str = MISSING
-    n_objects: int = MISSING
-    max_objects: int = at_least(1)
+    n_objects: int = number(1, 100)
+    max_objects: int = number(1, 100)
     split: str = one_of(*SPLITS)
-    pushes_per_object: int = at_least(1)
-    success_threshold: float = at_least(0)
+    pushes_per_object: int = number(1, 100_000)
+    success_threshold: float = positive(10)
     pixels: bool = MISSING
     arena: ArenaConfig = field(default_factory=ArenaConfig)
     physics: PhysicsConfig = field(default_factory=PhysicsConfig)

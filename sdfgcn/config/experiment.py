@@ -6,7 +6,15 @@ from dataclasses import dataclass, field
 
 from omegaconf import MISSING
 
-from sdfgcn.config.base import SPLITS, ComponentConfig, at_least, fraction, one_of, ranged
+from sdfgcn.config.base import (
+    MAX_SEED,
+    SPLITS,
+    ComponentConfig,
+    fraction,
+    matching,
+    number,
+    one_of,
+)
 from sdfgcn.config.comparison import ComparisonConfig
 from sdfgcn.config.env import EnvConfig
 from sdfgcn.config.model import ModelConfig
@@ -25,11 +33,11 @@ class EvalConfig:
     """How a method is evaluated (`conf/eval/`)."""
 
     name: str = MISSING
-    seed: int = at_least(0)
-    episodes: int = at_least(1)
+    seed: int = number(0, MAX_SEED)
+    episodes: int = number(1, 1_000_000)
     split: str = one_of(*SPLITS)
     epsilon: float = fraction()
-    loop_distance: float | None = at_least(0, default=None)
+    loop_distance: float | None = number(0, 10, default=None)
     baseline: str | None = None
 
 
@@ -42,7 +50,7 @@ class LoggerConfig(ComponentConfig):
 class VizConfig(ComponentConfig):
     """Recordings (`conf/viz/`)."""
 
-    episodes: int = at_least(0)
+    episodes: int = number(0, 1_000_000)
 
 
 @dataclass
@@ -50,11 +58,9 @@ class RuntimeConfig:
     """Processes and threads (`conf/runtime/`)."""
 
     name: str = MISSING
-    workers: int = at_least(0)
-    torch_threads: int = at_least(1)
-    device: str = ranged(
-        lambda value: value.partition(":")[0] in ("cpu", "cuda"), "must be cpu or cuda"
-    )
+    workers: int = number(0, 256)
+    torch_threads: int = number(1, 256)
+    device: str = matching(r"cpu|cuda(:\d+)?", "cpu, cuda or cuda:NUMBER")
     precision: str = one_of("auto", "bfloat16", "float32")
 
 
@@ -62,8 +68,8 @@ class RuntimeConfig:
 class Config:
     """The whole experiment, as `sdfgcn --cfg job` prints it."""
 
-    seed: int = at_least(0)
-    n_objects: int = MISSING
+    seed: int = number(0, MAX_SEED)
+    n_objects: int = number(1, 100)
     checkpoint: str | None = None
     experiment: ComparisonConfig = field(default_factory=ComparisonConfig)
     env: EnvConfig = field(default_factory=EnvConfig)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.episodes import EpisodeResult
 
 # Modules that load torch are imported where used: a main process with workers needs none.
@@ -88,6 +89,7 @@ def play_episode(
 
     Raises:
         EpisodeStoppedError: `stopped` returned True.
+        SdfgcnError: A legal push has a Q-value that is not finite, or the env raised it.
     """
     clock = time.monotonic()
     env.record = recorder is not None
@@ -100,6 +102,12 @@ def play_episode(
             raise EpisodeStoppedError
         chosen = policy(td)
         values = chosen.get("action_value", None)
+        if values is not None and not values[chosen["action_mask"]].isfinite().all():
+            raise SdfgcnError(
+                f"The Q-values of push {int(chosen['pushes']) + 1} in episode {episode} (seed "
+                f"{seed}) are not finite: the weights are damaged or their training diverged; use "
+                "another checkpoint, or train with a lower train.learning_rate."
+            )
         td = env.step(chosen)["next"]
         total_reward += float(td["reward"])
         done = bool(td["done"])

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from omegaconf import MISSING
 from torch import Tensor
 
-from sdfgcn.config import QNetworkConfig, at_least, lookup, one_of, positive
+from sdfgcn.config import QNetworkConfig, lookup, number, one_of, several
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.models.layers import check_widths
 
@@ -44,10 +44,10 @@ class ConvWidthConfig:
         hidden: Units between the last two linear layers.
     """
 
-    channels: list[list[int]] = at_least(1)
-    strides: list[list[int]] = at_least(1)
-    pooling: list[int] = at_least(1)
-    hidden: int = at_least(1)
+    channels: list[list[int]] = several(1, 4096)
+    strides: list[list[int]] = several(1, 64)
+    pooling: list[int] = several(1, 64)
+    hidden: int = number(1, 16_384)
 
     def final_size(self, image_size: int) -> int:
         """Height and width of the blocks' output for a picture of `image_size`, pixels."""
@@ -71,7 +71,7 @@ class ConvConfig(QNetworkConfig):
     """
 
     features: str = one_of(*PICTURES)
-    sdf_unit: float = positive()
+    sdf_unit: float = number(0.001, 1000)
     width: str = MISSING
     widths: dict[str, ConvWidthConfig] = MISSING
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from sdfgcn.config import at_least, one_of, positive
+from sdfgcn.config import number, one_of
 
 
 @dataclass
@@ -25,13 +25,13 @@ class PlannerConfig:
         width: Pushes after which it looks for a second one: the most valuable.
     """
 
-    push: float = positive()
-    aim: float = at_least(0)
-    away: float = at_least(0)
-    noise: float = at_least(0)
-    risk: float = at_least(0)
+    push: float = number(0.0001, 10)
+    aim: float = number(0, 10)
+    away: float = number(0, 1_000_000)
+    noise: float = number(0, 10)
+    risk: float = number(0, 1_000_000)
     depth: int = one_of(1, 2)
-    width: int = at_least(1)
+    width: int = number(1, 10_000)
 
 
 def pushes_needed(

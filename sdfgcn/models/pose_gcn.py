@@ -11,7 +11,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
-from sdfgcn.config import QNetworkConfig, at_least, one_of, positive
+from sdfgcn.config import QNetworkConfig, number, one_of, several
 from sdfgcn.models.graph import EDGES, OccupiedNodes
 from sdfgcn.models.graph_network import GraphQNetwork
 from sdfgcn.models.layers import (
@@ -43,9 +43,9 @@ class PoseGcnConfig(QNetworkConfig):
     """
 
     features: str = one_of(*POSITIONS)
-    position_unit: float = positive()
-    channels: list[list[int]] = at_least(1)
-    hidden: int = at_least(1)
+    position_unit: float = number(0.0001, 1000)
+    channels: list[list[int]] = several(1, 4096)
+    hidden: int = number(1, 16_384)
     edges: str = one_of(*EDGES)
     propagation: str = one_of(*PROPAGATIONS)
 

@@ -14,7 +14,7 @@ from typing import ClassVar, NamedTuple
 import torch
 from torch import Tensor, nn
 
-from sdfgcn.config import ArenaConfig, Config, QNetworkConfig, at_least, positive
+from sdfgcn.config import ArenaConfig, Config, QNetworkConfig, number, positive, several
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.models.planner import PlannerConfig, pushes_needed, risk_of_leaving
 from sdfgcn.models.polar import PolarConv, PolarMaps, in_all_directions, reflected
@@ -43,18 +43,18 @@ class PushModelConfig(QNetworkConfig):
 
     own_curriculum: ClassVar[str] = "many"
 
-    rings: int = at_least(4)
-    angles: int = at_least(8)
-    radius: float = positive()
-    cut: float = positive()
-    trunk: list[int] = at_least(1)
-    pair: list[int] = at_least(1)
-    hidden: int = at_least(1)
-    unit: float = positive()
-    deviation_min: float = positive()
+    rings: int = number(4, 256)
+    angles: int = number(8, 1024)
+    radius: float = number(0.001, 2)
+    cut: float = number(0.001, 2)
+    trunk: list[int] = several(1, 4096)
+    pair: list[int] = several(1, 4096)
+    hidden: int = number(1, 16_384)
+    unit: float = number(0.0001, 1)
+    deviation_min: float = number(1e-6, 1)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
-    success_threshold: float = positive()
-    plane_height: float = at_least(0)
+    success_threshold: float = positive(10)
+    plane_height: float = number(0, 0.1)
     arena: ArenaConfig = field(default_factory=ArenaConfig)
 
 

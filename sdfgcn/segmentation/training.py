@@ -120,7 +120,11 @@ class Training:
                     recent, clock = [], time.monotonic()
 
     def _update(self, pictures: Pictures) -> tuple[float, float]:
-        """Take one optimiser step; return both terms of the loss."""
+        """Take one optimiser step; return both terms of the loss.
+
+        Raises:
+            SdfgcnError: The loss or its gradient is not finite.
+        """
         config = self._config
         rng = np.random.default_rng([config.seed, self.step])
         chosen = np.sort(rng.integers(len(pictures.pixels), size=config.batch))
@@ -136,7 +140,13 @@ class Training:
         )
         self._optimiser.zero_grad()
         (pull + push).backward()
-        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        norm = torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        if not (pull + push + norm).isfinite():
+            raise SdfgcnError(
+                f"In update {self.step + 1}, the loss is {(pull + push).item():g} and the norm of "
+                f"its gradient {norm.item():g}, so training cannot go on: lower learning_rate (now "
+                f"{config.learning_rate:g})."
+            )
         self._optimiser.step()
         return pull.item(), push.item()
 

@@ -11,6 +11,7 @@ from mujoco import mjtSleepPolicy
 from numpy.typing import NDArray
 
 from sdfgcn.config import EnvConfig
+from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.arena import GROUP_PARKED, GROUP_SCENE, Table
@@ -21,6 +22,13 @@ from sdfgcn.task.world import PushCommand, PushResult
 
 READY_TO_SLEEP = -1  # MuJoCo increments tree_asleep up to this value while a tree is still
 SETTLE_STEPS = 5  # simulation steps between checks whether the props are at rest
+# MuJoCo warns, sets everything back to where the model was compiled, and goes on.
+UNSTABLE = (
+    mujoco.mjtWarning.mjWARN_BADQPOS,
+    mujoco.mjtWarning.mjWARN_BADQVEL,
+    mujoco.mjtWarning.mjWARN_BADQACC,
+    mujoco.mjtWarning.mjWARN_BADCTRL,
+)
 
 
 class RearrangementTask(composer.Task):
@@ -90,6 +98,7 @@ class RearrangementTask(composer.Task):
         self._dress(physics)
         self.set_poses(physics, self.episode.start, resting=False)
         self._settle(physics)
+        self._check_stable(physics)
         self.set_poses(physics, self.poses(physics))
 
     def _dress(self, physics: mjcf.Physics) -> None:
@@ -128,6 +137,9 @@ class RearrangementTask(composer.Task):
 
         The final simulation state depends on the props' poses alone: velocities, warm starts and
         sleep are cleared, so that restoring saved poses restores the state.
+
+        Raises:
+            SdfgcnError: The simulation became unstable.
         """
         options = physics.model.opt
         options.noslip_iterations = 0  # off while the tool moves, see conf/env/paper.yaml
@@ -135,6 +147,7 @@ class RearrangementTask(composer.Task):
         options.noslip_iterations = self._config.physics.noslip_iterations
         if result.status != "unreachable":
             self._settle(physics)
+        self._check_stable(physics)
         self.set_poses(physics, self.poses(physics))
         return result
 
@@ -172,3 +185,14 @@ class RearrangementTask(composer.Task):
             if (data.tree_asleep[trees] >= 0).all():
                 return
             mujoco.mj_step(model, data, SETTLE_STEPS)
+
+    def _check_stable(self, physics: mjcf.Physics) -> None:
+        """Check the simulation since the last `set_poses`, which clears MuJoCo's warnings."""
+        data = physics.data.ptr
+        warned = any(data.warning[int(kind)].number for kind in UNSTABLE)
+        if warned or not (np.isfinite(data.qpos).all() and np.isfinite(data.qvel).all()):
+            raise SdfgcnError(
+                f"The simulation became unstable in the episode of seed {self.episode.seed}: use a "
+                f"smaller env.physics.timestep (now {self._config.physics.timestep} s), or values "
+                "of env.physics, env.push and env.robot nearer to those of conf/."
+            )

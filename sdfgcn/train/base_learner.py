@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
 from sdfgcn.config import TrainConfig
+from sdfgcn.errors import SdfgcnError
 
 
 class BaseLearner(ABC):
@@ -60,10 +61,22 @@ class BaseLearner(ABC):
         """Set and return the precision, given `runtime.precision` and [B] transitions."""
 
     def _descend(self, loss: Tensor) -> None:
-        """Do one step down the gradient of a loss."""
+        """Do one step down the gradient of a loss.
+
+        Raises:
+            SdfgcnError: The loss or its gradient is not finite; the weights are as before.
+        """
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        nn.utils.clip_grad_norm_(self._module.parameters(), self._train.max_gradient_norm)
+        largest = self._train.max_gradient_norm
+        norm = nn.utils.clip_grad_norm_(self._module.parameters(), largest)
+        if not (loss.detach().isfinite() & norm.isfinite()):
+            raise SdfgcnError(
+                f"In update {self.updates + 1}, the loss is {float(loss.detach()):g} and the norm "
+                f"of its gradient {float(norm):g}, so training cannot go on: lower "
+                f"train.learning_rate (now {self._train.learning_rate:g}), or use "
+                "runtime.precision=float32."
+            )
         self._optimiser.step()
         self._average.update_parameters(self.network)
         self.updates += 1

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing.queues import SimpleQueue
 from typing import Any, Protocol
 
 import numpy as np
@@ -52,6 +56,33 @@ class TrainingEnv(RearrangementEnv):
         return super()._reset(tensordict, **kwargs)
 
 
+class WorkerEnv(TrainingEnv):
+    """The env in a worker process, where TorchRL would drop the sentence of an error."""
+
+    def __init__(
+        self, config: EnvConfig, counts: ObjectCountSampler, seed: int, told: SimpleQueue[str]
+    ) -> None:
+        """Build the env; an error that the user can fix is put into `told`."""
+        self._told = told
+        super().__init__(config, counts, seed)
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        with self._telling():
+            return super()._reset(tensordict, **kwargs)
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        with self._telling():
+            return super()._step(tensordict)
+
+    @contextmanager
+    def _telling(self) -> Iterator[None]:
+        try:
+            yield
+        except SdfgcnError as error:
+            self._told.put(str(error))
+            os._exit(1)  # without a traceback on stderr
+
+
 class PushCollector(Protocol):
     """The interface between the trainer and a collector."""
 
@@ -66,7 +97,7 @@ class PushCollector(Protocol):
             [T] transitions.
 
         Raises:
-            SdfgcnError: A worker died.
+            SdfgcnError: A worker died, or its env raised it.
         """
 
     def update_policy_weights(self) -> None:
@@ -140,20 +171,24 @@ class AsyncCollector:
         config = spec.config
         workers = max(config.collector.workers, 1)
         seeds = [_seed(config.seed, worker, spec.pushes) for worker in range(workers)]
-        self._collector = MultiAsyncCollector(
-            [_env_in_worker] * workers,
-            spec.policy,
-            # As kwargs, not functools.partial: TorchRL would copy the shared memory of `counts`.
-            create_env_kwargs=[
-                {"config": spec.env, "counts": spec.counts, "seed": seed} for seed in seeds
-            ],
-            frames_per_batch=config.collector.pushes_per_batch,
-            total_frames=-1,
-            num_threads=torch.get_num_threads(),
-            num_sub_threads=config.runtime.torch_threads,
-            auto_register_policy_transforms=False,
-            init_fn=follow_parent,
-        )
+        self._told: SimpleQueue[str] = multiprocessing.get_context("spawn").SimpleQueue()
+        with self._told_errors():
+            self._collector = MultiAsyncCollector(
+                [_env_in_worker] * workers,
+                spec.policy,
+                # As kwargs, not functools.partial: TorchRL would copy the shared memory of
+                # `counts`.
+                create_env_kwargs=[
+                    {"config": spec.env, "counts": spec.counts, "seed": seed, "told": self._told}
+                    for seed in seeds
+                ],
+                frames_per_batch=config.collector.pushes_per_batch,
+                total_frames=-1,
+                num_threads=torch.get_num_threads(),
+                num_sub_threads=config.runtime.torch_threads,
+                auto_register_policy_transforms=False,
+                init_fn=follow_parent,
+            )
         self._batches = iter(self._collector)
         self._waiter = ThreadPoolExecutor(1)
 
@@ -164,12 +199,23 @@ class AsyncCollector:
             if not meanwhile():
                 wait([batch], timeout=IDLE_SECONDS)
         try:
-            return batch.result().clone()
+            with self._told_errors():
+                return batch.result().clone()
         except RuntimeError as error:
             raise SdfgcnError(
                 f"A process that pushes died ({str(error).partition(chr(10))[0]}); the same "
                 "hydra.run.dir goes on from the last checkpoint."
             ) from error
+
+    @contextmanager
+    def _told_errors(self) -> Iterator[None]:
+        """Raise what a worker told, where TorchRL only knows that it died."""
+        try:
+            yield
+        except RuntimeError:
+            if not self._told.empty():
+                raise SdfgcnError(self._told.get()) from None
+            raise
 
     def update_policy_weights(self) -> None:
         """Send the policy's weights."""
@@ -190,9 +236,11 @@ def build_collector(spec: CollectorSpec) -> PushCollector:
     return (SyncCollector if spec.config.collector.name == "sync" else AsyncCollector)(spec)
 
 
-def _env_in_worker(config: EnvConfig, counts: ObjectCountSampler, seed: int) -> TrainingEnv:
+def _env_in_worker(
+    config: EnvConfig, counts: ObjectCountSampler, seed: int, told: SimpleQueue[str]
+) -> WorkerEnv:
     torch.manual_seed(seed)  # the policy's random pushes
-    return TrainingEnv(config, counts, seed)
+    return WorkerEnv(config, counts, seed, told)
 
 
 def _seed(seed: int, worker: int, pushes: int) -> int:

@@ -56,7 +56,8 @@ class DisplacementLearner(BaseLearner):
         fit = smooth_l1_loss(error, torch.zeros_like(error), reduction="none").sum(dim=-1)
         squared = error.detach().square().sum(dim=-1)
         likelihood = 2.0 * spread.log() + 0.5 * squared / spread.square()
-        loss = (fit + likelihood)[known].mean()
+        terms = (fit + likelihood)[known]
+        loss = terms.sum() / max(len(terms), 1)  # a batch in which nothing is known teaches nothing
         self._descend(loss)
         pushed = own & known
         wrong, way = (mean - moved).detach()[pushed], moved[pushed]

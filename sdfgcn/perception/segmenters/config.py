@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from sdfgcn.config import SegmentationConfig, at_least, positive
+from sdfgcn.config import SegmentationConfig, fraction, number, positive, several
 
 
 @dataclass
@@ -12,15 +12,15 @@ class UCNConfig(SegmentationConfig):
     """Unseen object clustering (`conf/segmentation/ucn.yaml`)."""
 
     weights: str | None = None
-    channels: int = at_least(1)
-    widths: list[int] = at_least(1)
-    embedding: int = at_least(1)
-    table_distance: float = at_least(0)
-    seeds: int = at_least(1)
-    seed_distance: float = at_least(0)
-    concentration: float = positive()
-    iterations: int = at_least(0)
-    merge_distance: float = at_least(0)
-    part_gap: int = at_least(0)
-    max_hole: int | None = at_least(0, default=None)
-    min_pixels: int = at_least(0)
+    channels: int = number(1, 4096)
+    widths: list[int] = several(1, 4096)
+    embedding: int = number(1, 4096)
+    table_distance: float = fraction()
+    seeds: int = number(1, 10_000)
+    seed_distance: float = fraction()
+    concentration: float = positive(1000)
+    iterations: int = number(0, 10_000)
+    merge_distance: float = fraction()
+    part_gap: int = number(0, 1024)
+    max_hole: int | None = number(0, 1_000_000, default=None)
+    min_pixels: int = number(1, 1_000_000)

@@ -8,7 +8,7 @@ import numpy as np
 from dm_control import mjcf
 from numpy.typing import NDArray
 
-from sdfgcn.config import RobotConfig, positive
+from sdfgcn.config import RobotConfig, number, vector
 from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.robots.robot import TCP_OFFSET, Robot, load_fixed_gripper, prepare
 
@@ -19,9 +19,10 @@ AXES = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 class GripperConfig(RobotConfig):
     """Stiffness and force limit of the drives."""
 
-    stiffness: float = positive()
-    yaw_stiffness: float = positive()
-    force_limit: float = positive()
+    home: list[float] = vector(4, -10, 10)
+    stiffness: float = number(1, 1_000_000)
+    yaw_stiffness: float = number(1, 1_000_000)
+    force_limit: float = number(1, 1_000_000)
 
 
 @ROBOTS.register("gripper", config=GripperConfig)

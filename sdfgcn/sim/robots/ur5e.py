@@ -12,7 +12,7 @@ from dm_control.utils.inverse_kinematics import qpos_from_site_pose
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from sdfgcn.config import RobotConfig, at_least, positive, vector
+from sdfgcn.config import RobotConfig, number, vector
 from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.robots.robot import (
     TCP_OFFSET,
@@ -28,9 +28,10 @@ from sdfgcn.sim.robots.robot import (
 class UR5eConfig(RobotConfig):
     """Position of the arm's base and settings of its inverse kinematics."""
 
-    base_position: list[float] = vector(3)
-    ik_tolerance: float = positive()
-    ik_steps: int = at_least(1)
+    home: list[float] = vector(6, -10, 10)
+    base_position: list[float] = vector(3, -2, 2)
+    ik_tolerance: float = number(1e-9, 0.01)
+    ik_steps: int = number(1, 100_000)
 
 
 @ROBOTS.register("ur5e", config=UR5eConfig)
