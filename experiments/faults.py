@@ -25,10 +25,12 @@ import csv
 import hashlib
 import importlib
 import json
+import multiprocessing
 import shutil
 import signal
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass
 from datetime import datetime
@@ -173,13 +175,22 @@ def left_in(folder: Path) -> dict[str, Any]:
 
 def kept(folder: Path, arguments: Sequence[str]) -> tuple[int, int]:
     """Pushes of a training, and transitions in its last checkpoint's replay buffer."""
-    from sdfgcn.train.checkpoint import NAME, load_checkpoint
-    from sdfgcn.train.replay import Replay
-
-    replay = Replay(load(arguments))
-    load_checkpoint(folder / NAME, {"replay": replay.buffer})
+    fork = multiprocessing.get_context("fork")  # the runs to come are forked from this process
+    with ProcessPoolExecutor(1, fork) as pool:
+        transitions = pool.submit(_transitions, folder, tuple(arguments)).result()
     about = json.loads((folder / "policy" / "policy.json").read_text())
-    return int(about["spent"]["pushes"]), len(replay)
+    return int(about["spent"]["pushes"]), transitions
+
+
+def _transitions(folder: Path, arguments: tuple[str, ...]) -> int:
+    """Load a checkpoint as a resumed training would, and count."""
+    from sdfgcn.loggers.files import NoLogger
+    from sdfgcn.train.training import build_trainer, q_network
+
+    config = load([each.replace("collector=async", "collector=sync") for each in arguments])
+    logger = NoLogger(config.logger, folder)
+    trainer = build_trainer(config, folder, logger, q_network, lambda network, spent: None, None)
+    return len(trainer._replay)
 
 
 def differences(case: Case, folder: Path, whole: dict[str, Any]) -> list[str]:
@@ -355,12 +366,12 @@ def markdown(result: dict[str, Any]) -> str:
         broke = "; ".join(f"{text} ({wrong.count(text)})" for text in sorted(set(wrong))) or "-"
         held = row["n"] - len(row["wrong"])
         lines.append(f"| {row['what']} | {row['fault']} | {row['n']} | {held} | {broke} |")
+    commit = (result["git"] or {}).get("commit", "unknown")[:10]
     return "\n".join(
         [
             *lines,
             f"\n{result['strikes']} strikes; {result['resumed']} runs resumed to their end, struck "
-            f"up to {STRIKES} times each. Seed {result['seed']}, commit "
-            f"{str(result['commit'])[:10]}.\n",
+            f"up to {STRIKES} times each. Seed {result['seed']}, commit {commit}.\n",
         ]
     )
 

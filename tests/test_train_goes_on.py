@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from configs import real_config
+from configs import CONF, real_config
 from small_network import small_network
 from tensordict import TensorDict
 from toys import TOYS
@@ -21,6 +21,7 @@ from sdfgcn.loggers.files import CsvLogger, NoLogger
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.train.held_out import FIGURES
 from sdfgcn.train.learner import Learner
+from sdfgcn.train.progress import read_curve
 from sdfgcn.train.trainer import Trainer
 from sdfgcn.train.training import BuildNetwork, build_trainer, q_network, train
 
@@ -61,18 +62,46 @@ def same(there: Weights, here: Weights) -> bool:
 # ------------------------------------------------------------------ hindsight
 
 
-def test_hindsight_of_an_unfinished_episode_goes_on(tmp_path: Path) -> None:
-    """Episodes have 16 pushes at most: at the first stop one goes on, and ends after it."""
-    future = ("her=future", "train.env.pushes_per_object=8", "+train.env.success_threshold=0.001")
+HINDSIGHTS = sorted(path.stem for path in (CONF / "her").glob("*.yaml"))
+CURRICULA = sorted(path.stem for path in (CONF / "curriculum").glob("*.yaml"))
+COUNTS = {
+    "many": ("curriculum.counts=[3,4]",),  # TOYS are four
+    "on": (
+        *("curriculum.counts=[1,2,3]", "curriculum.window=2", "curriculum.success_threshold=0.0"),
+        *("curriculum.confidence=0.5", "+train.env.success_threshold=0.2"),
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("her", "curriculum"),
+    sorted({*((her, "off") for her in HINDSIGHTS), *(("future", each) for each in CURRICULA)}),
+)
+def test_stopped_and_gone_on_with_is_the_same(her: str, curriculum: str, tmp_path: Path) -> None:
+    """Weights and rows; the stop is in an episode, which ends after it."""
+    how = (f"her={her}", f"curriculum={curriculum}", "train.env.pushes_per_object=4")
+    how = (*how, "train.log_pushes=5", *COUNTS.get(curriculum, ()))
     for folder in ("whole", "parts"):
         (tmp_path / folder).mkdir()
-    whole = weights_of(tmp_path / "whole", 35, *future)
-    early = weights_of(tmp_path / "parts", 10, *future)
+    whole = weights_of(tmp_path / "whole", 20, *how)
+    early = weights_of(tmp_path / "parts", 10, *how)
     with zipfile.ZipFile(tmp_path / "parts" / "checkpoint.zip") as archive:
-        kept = [name for name in archive.namelist() if "hindsight/episode" in name]
-    assert any(name.endswith("sdf.memmap") for name in kept)
+        names = " ".join(archive.namelist())
+    assert ("hindsight/episode" in names) == (her == "future")
     assert not same(whole, early)
-    assert same(whole, weights_of(tmp_path / "parts", 35, *future))
+    assert same(whole, weights_of(tmp_path / "parts", 20, *how))
+    rows = curve_of(tmp_path / "whole")
+    assert rows == curve_of(tmp_path / "parts")
+    assert [row["pushes"] for row in rows] == ["5", "10", "15", "20"]
+    assert (len({row["n_objects"] for row in rows}) > 1) == (curriculum == "on")
+
+
+def curve_of(folder: Path) -> list[dict[str, str]]:
+    """The rows of `train.csv` without what depends on time."""
+    timed = {"seconds", "pushes_per_s", "updates_per_s"}
+    return [
+        {k: v for k, v in row.items() if k not in timed} for row in read_curve(folder / "train.csv")
+    ]
 
 
 def test_a_push_model_goes_on_exactly(tmp_path: Path) -> None:
