@@ -44,7 +44,7 @@ from sdfgcn.sweep import stopped_jobs_marked
 from sdfgcn.validation import typed
 
 _FULL_ERROR = "HYDRA_FULL_ERROR"
-_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+_DISK_FULL = tuple(os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT))
 
 
 def main() -> None:
@@ -145,10 +145,16 @@ def to_sentence(error: BaseException) -> str | None:
     if isinstance(error, HydraException | OmegaConfBaseException):
         return _tell_config_error(error)
     for link in _causes(error):  # Hydra creates the run folder and opens its log there
-        if isinstance(link, OSError) and (link.filename or link.errno in _DISK_FULL):
+        if any(reason in str(link) for reason in _DISK_FULL):  # Rust and C++ have no OSError
             return (
-                f"Cannot use {link.filename or 'the run folder'} ({link.strerror}); choose "
-                "another folder with hydra.run.dir=... (hydra.sweep.dir=... for a sweep)."
+                f"The disk is full ({_gist(link)}); make room and give the same command the same "
+                "hydra.run.dir=... (hydra.sweep.dir=... for a sweep), which goes on from what is "
+                "there, or choose another folder."
+            )
+        if isinstance(link, OSError) and link.filename:
+            return (
+                f"Cannot use {link.filename} ({link.strerror}); choose another folder with "
+                "hydra.run.dir=... (hydra.sweep.dir=... for a sweep)."
             )
     return None
 
