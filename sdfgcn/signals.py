@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from types import FrameType
 
 SIGNALS = (signal.SIGTERM, signal.SIGHUP)
+PREEMPTION = (signal.SIGUSR1, signal.SIGUSR2)  # by which submitit is told that a job must go
 GRACE = 10.0  # seconds that a worker outlives such a signal, so that its parent can end it
 
 
@@ -60,12 +61,13 @@ def stoppable() -> Iterator[None]:
 
 
 def leave_to_parent() -> None:
-    """Leave Ctrl-C and these signals to the parent process, as all processes often get them.
+    """Leave Ctrl-C and other signals to the parent process, as all processes often get them.
 
     After a SIGTERM or SIGHUP, this process ends `GRACE` seconds later if the parent does not end it
     before: other libraries end workers by SIGTERM.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for number in (signal.SIGINT, *PREEMPTION):
+        signal.signal(number, signal.SIG_IGN)
     for number in SIGNALS:
         signal.signal(number, _end_later)
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -183,6 +184,31 @@ def test_a_stopped_run_keeps_what_is_done(
     while running := group(process.pid):
         assert time.monotonic() < deadline + 100, running
         time.sleep(0.1)
+
+
+@pytest.mark.skipif(
+    find_spec("hydra_plugins.hydra_submitit_launcher") is None, reason="not installed"
+)
+def test_a_preempted_job_goes_on(sweep: tuple[Path, str], tmp_path: Path) -> None:
+    """Submitit starts it again, and it ends with the rows of a run that nobody disturbed."""
+    process = start(
+        *("-m", *SMALL, "eval.episodes=3", "viz=none", "runtime.workers=2", "eval.seed=0"),
+        *("hydra/launcher=submitit_local", f"hydra.sweep.dir={tmp_path}"),
+    )
+    deadline = time.monotonic() + 200
+    while not (tmp_path / "0" / "episodes.csv").exists():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    job = status(tmp_path / "0")["pid"]
+    os.kill(job, signal.SIGUSR2)
+    _, err = process.communicate(timeout=240)
+    assert process.returncode == 0, err
+    assert status(tmp_path / "0")["state"] == "done"
+    assert status(tmp_path / "0")["pid"] != job
+    assert rows(tmp_path / "0") == rows(sweep[0] / "0")
+    (log,) = tmp_path.glob(".submitit/*/*.err")
+    assert "this job is preempted" in log.read_text()
 
 
 def group(leader: int) -> list[str]:

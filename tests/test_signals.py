@@ -97,8 +97,8 @@ def test_exit_code_after_ctrl_c() -> None:
 
 def test_a_worker_leaves_signals_to_its_parent_for_a_while() -> None:
     code = (
-        "import sdfgcn.signals as s, os, signal, time; s.GRACE = float('{grace}');"
-        "s.leave_to_parent(); [os.kill(os.getpid(), n) for n in (signal.SIGINT, *s.SIGNALS)];"
+        "import sdfgcn.signals as s, os, time; s.GRACE = float('{grace}');"
+        "s.leave_to_parent(); [os.kill(os.getpid(), n) for n in (2, *s.PREEMPTION, *s.SIGNALS)];"
         "time.sleep(0.5); print('on')"
     )
     for grace, ends, out in (("60", 0, "on\n"), ("0.01", 128 + signal.SIGTERM, "")):
