@@ -2,6 +2,7 @@
 
     python experiments/faults.py                 25 minutes, into outputs/faults/DATE_TIME/
     python experiments/faults.py minutes=5 seed=1
+    python experiments/faults.py outputs/faults/A outputs/faults/B      several of these in one
     python experiments/faults.py --publish       also into experiments/results/faults.{json,md}
 
 Evaluations, trainings and sweeps are struck up to three times by SIGKILL, SIGTERM or SIGINT, each
@@ -32,7 +33,7 @@ import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -41,12 +42,9 @@ from typing import Any
 import numpy as np
 from common import RESULTS, ROOT, load, parse
 from faults_process import Ended, run, run_on_small_disk
+from faults_table import STRIKES, Strike, Trial, markdown, outcome, united, write
 from tqdm import tqdm
 
-from sdfgcn.files import write_json, write_text
-from sdfgcn.provenance import provenance
-
-STRIKES = 3  # most strikes of a run
 PRELOADED = ("sdfgcn.cli", "sdfgcn.train.training", "sdfgcn.envs.rearrangement", "scipy.stats")
 TIMES = {"wall_s", "seconds", "pushes_per_s", "updates_per_s"}
 
@@ -214,25 +212,6 @@ def differences(case: Case, folder: Path, whole: dict[str, Any]) -> list[str]:
 # ---------------------------------------------------------------------- trials
 
 
-@dataclass(frozen=True)
-class Strike:
-    """One strike of a run, and what was wrong with the end that it made."""
-
-    case: str
-    fault: str
-    after_s: float
-    wrong: list[str]
-
-
-@dataclass(frozen=True)
-class Trial:
-    """A run that was struck, resumed and left to end; how it differs from an undisturbed one."""
-
-    case: str
-    strikes: list[Strike]
-    wrong: list[str]
-
-
 class Faults:
     """Disturbs runs; all folders are below one."""
 
@@ -315,65 +294,7 @@ class Faults:
         return path.with_suffix(f".{time.monotonic_ns()}.log")
 
 
-# ---------------------------------------------------------------------- the table
-
-
-def summary(trials: Sequence[Trial], others: Sequence[Strike]) -> list[dict[str, Any]]:
-    """A row for each command and fault: how often, and what went wrong each time that it did."""
-    found: dict[tuple[str, str], list[list[str]]] = {}
-    for strike in [*(strike for trial in trials for strike in trial.strikes), *others]:
-        found.setdefault((strike.case, strike.fault), []).append(strike.wrong)
-    exact = {case.name: case.exact for case in CASES}
-    for trial in trials:
-        if trial.strikes:
-            what = "same as undisturbed" if exact[trial.case] else "in full"
-            found.setdefault((trial.case, f"then resumed: {what}"), []).append(trial.wrong)
-    order = {case.name: k for k, case in enumerate(CASES)}
-    rows = sorted(found.items(), key=lambda item: (order[item[0][0]], item[0][1]))
-    return [
-        {"what": what, "fault": fault, "n": len(each), "wrong": [wrong for wrong in each if wrong]}
-        for (what, fault), each in rows
-    ]
-
-
-def outcome(
-    trials: Sequence[Trial], others: Sequence[Strike], own: dict[str, int]
-) -> dict[str, Any]:
-    """What is written: counts, the summary, and all that went wrong."""
-    strikes = [*(strike for trial in trials for strike in trial.strikes), *others]
-    return {
-        **provenance(),
-        **own,
-        "strikes": len(strikes),
-        "resumed": sum(bool(trial.strikes) for trial in trials),
-        "rows": summary(trials, others),
-        "wrong": [asdict(each) for each in (*trials, *strikes) if each.wrong],
-    }
-
-
-def write(folder: Path, result: dict[str, Any]) -> None:
-    """Write `faults.json` and `faults.md`."""
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / "faults.json", result)
-    write_text(folder / "faults.md", markdown(result))
-
-
-def markdown(result: dict[str, Any]) -> str:
-    """The summary as a table."""
-    lines = ["| what | fault | n | held | what broke |", "| --- | --- | --- | --- | --- |"]
-    for row in result["rows"]:
-        wrong = [text for texts in row["wrong"] for text in texts]
-        broke = "; ".join(f"{text} ({wrong.count(text)})" for text in sorted(set(wrong))) or "-"
-        held = row["n"] - len(row["wrong"])
-        lines.append(f"| {row['what']} | {row['fault']} | {row['n']} | {held} | {broke} |")
-    commit = (result["git"] or {}).get("commit", "unknown")[:10]
-    return "\n".join(
-        [
-            *lines,
-            f"\n{result['strikes']} strikes; {result['resumed']} runs resumed to their end, struck "
-            f"up to {STRIKES} times each. Seed {result['seed']}, commit {commit}.\n",
-        ]
-    )
+# ---------------------------------------------------------------------- the whole
 
 
 def disturbed(faults: Faults, minutes: int) -> Iterator[Trial | Strike | None]:
@@ -394,27 +315,39 @@ def main() -> None:
     if {"-h", "--help"} & set(sys.argv):
         print(__doc__)
         return
-    publish = "--publish" in sys.argv
-    own, unknown = parse([a for a in sys.argv[1:] if a != "--publish"], {"minutes": 25, "seed": 0})
-    if unknown:
-        raise SystemExit(f"{unknown[0]} is unknown; python experiments/faults.py --help")
+    given = [argument for argument in sys.argv[1:] if argument != "--publish"]
+    own, folders = parse(given, {"minutes": 25, "seed": 0})
+    if lost := [name for name in folders if not (Path(name) / "faults.json").exists()]:
+        raise SystemExit(f"There is no {lost[0]}/faults.json; python experiments/faults.py --help")
     folder = ROOT / "outputs" / "faults" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
+    if folders:
+        result = united([json.loads((Path(name) / "faults.json").read_text()) for name in folders])
+        write(folder, result)
+    else:
+        result = tried(folder, own)
+    if "--publish" in sys.argv:
+        write(RESULTS, result)
+    print(markdown(result), f"Written to {folder}", sep="\n")
+
+
+def tried(folder: Path, own: dict[str, int]) -> dict[str, Any]:
+    """Disturb runs for so many minutes; what is known so far is always in the folder."""
     for module in PRELOADED:
         importlib.import_module(module)
+    exact = {case.name: case.exact for case in CASES}
     trials: list[Trial] = []
     others: list[Strike] = []
+    result = outcome(trials, others, exact, own)
     began = time.monotonic()
     with tqdm(total=60 * own["minutes"], unit="s") as bar:
         for each in disturbed(Faults(folder, own["seed"]), own["minutes"]):
             trials += [each] if isinstance(each, Trial) else []
             others += [each] if isinstance(each, Strike) else []
-            result = outcome(trials, others, own)
-            write(folder, result)  # what is known so far, should this be stopped
+            result = outcome(trials, others, exact, own)
+            write(folder, result)
             bar.set_postfix_str(f"{result['strikes']} strikes, {len(result['wrong'])} wrong")
             bar.update(min(bar.total, round(time.monotonic() - began)) - bar.n)
-    if publish:
-        write(RESULTS, result)
-    print(markdown(result), f"Written to {folder}", sep="\n")
+    return result
 
 
 if __name__ == "__main__":
