@@ -39,10 +39,12 @@ from sdfgcn.evaluation.report import text
 from sdfgcn.experiment import run_experiment
 from sdfgcn.opengl import check_opengl
 from sdfgcn.run_folder import RunFolder
+from sdfgcn.signals import exit_code, stoppable
+from sdfgcn.sweep import stopped_jobs_marked
 from sdfgcn.validation import typed
 
 _FULL_ERROR = "HYDRA_FULL_ERROR"
-_DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
+_DISK_FULL = tuple(os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT))
 
 
 def main() -> None:
@@ -56,7 +58,8 @@ def main() -> None:
 
 
 def _command() -> None:
-    hydra.main(str(conf_dir()), "config", version_base="1.3")(run)()
+    with stopped_jobs_marked():
+        hydra.main(str(conf_dir()), "config", version_base="1.3")(run)()
     if Comparison.finished is not None:
         print(Comparison.finished.report())
 
@@ -67,12 +70,13 @@ def run(cfg: DictConfig) -> float | None:
     In an experiment, train and evaluate one of its methods instead.
     """
     job = HydraConfig.get()
-    if cfg.experiment.name != "none":
-        _run_in_comparison(cfg, job)
-        return None
-    folder = Path(job.runtime.output_dir)
-    results = _evaluated(cfg, folder, job)
-    beside = [_evaluated(other, folder / "baseline", job) for other in _baseline(cfg)]
+    with stoppable():  # also in a process of a launcher
+        if cfg.experiment.name != "none":
+            _run_in_comparison(cfg, job)
+            return None
+        folder = Path(job.runtime.output_dir)
+        results = _evaluated(cfg, folder, job)
+        beside = [_evaluated(other, folder / "baseline", job) for other in _baseline(cfg)]
     print(f"{text(results, beside)}\nRun folder: {folder}")
     return results["success_rate"]
 
@@ -113,17 +117,17 @@ def run_plainly(main: Callable[[], Any]) -> None:
     Any other error shows its traceback, as does every error if HYDRA_FULL_ERROR=1 is set.
 
     Raises:
-        SystemExit: Code 1 after such a sentence, 130 after Ctrl-C.
+        SystemExit: Code 1 after such a sentence, 130 after Ctrl-C, 143 after SIGTERM.
     """
     if os.environ.get(_FULL_ERROR) == "1":
         main()
         return
     os.environ[_FULL_ERROR] = "1"  # makes Hydra raise instead of printing its own message
     try:
-        with contextlib.redirect_stderr(_WithoutPreamble(sys.stderr)):
+        with contextlib.redirect_stderr(_WithoutPreamble(sys.stderr)), stoppable():
             main()
-    except KeyboardInterrupt:
-        sys.exit(130)
+    except KeyboardInterrupt as error:
+        sys.exit(exit_code(error))
     except Exception as error:
         sentence = to_sentence(error)
         if sentence is None:
@@ -141,10 +145,16 @@ def to_sentence(error: BaseException) -> str | None:
     if isinstance(error, HydraException | OmegaConfBaseException):
         return _tell_config_error(error)
     for link in _causes(error):  # Hydra creates the run folder and opens its log there
-        if isinstance(link, OSError) and (link.filename or link.errno in _DISK_FULL):
+        if any(reason in str(link) for reason in _DISK_FULL):  # Rust and C++ have no OSError
             return (
-                f"Cannot use {link.filename or 'the run folder'} ({link.strerror}); choose "
-                "another folder with hydra.run.dir=... (hydra.sweep.dir=... for a sweep)."
+                f"The disk is full ({_gist(link)}); make room and give the same command the same "
+                "hydra.run.dir=... (hydra.sweep.dir=... for a sweep), which goes on from what is "
+                "there, or choose another folder."
+            )
+        if isinstance(link, OSError) and link.filename:
+            return (
+                f"Cannot use {link.filename} ({link.strerror}); choose another folder with "
+                "hydra.run.dir=... (hydra.sweep.dir=... for a sweep)."
             )
     return None
 

@@ -38,6 +38,19 @@ def write_text(path: Path, text: str) -> None:
         part.write_text(text, encoding="utf-8")
 
 
+def overwrite_json(path: Path, content: Any) -> None:
+    """Overwrite an existing JSON file in place, which needs no room on a full disk.
+
+    Not atomic: use it only where `write_json` failed. A file that grows may need a new block.
+
+    Raises:
+        OSError: There is no such file, or it cannot be written.
+    """
+    with path.open("r+", encoding="utf-8") as file:
+        file.write(json.dumps(content, indent=2, allow_nan=False) + "\n")
+        file.truncate()
+
+
 def write_json(path: Path, content: Any) -> None:
     """Write a JSON file atomically.
 

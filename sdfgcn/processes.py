@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import multiprocessing
 import os
-import signal
 import threading
+
+from sdfgcn.signals import leave_to_parent
 
 
 def follow_parent() -> None:
-    """Leave Ctrl-C to the parent process, and exit when the parent does.
+    """Leave Ctrl-C and other signals to the parent process, and exit when the parent does.
 
     Otherwise a worker would wait forever for work from a killed parent.
     """
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    leave_to_parent()
     threading.Thread(target=_end_with_parent, daemon=True).start()
 
 

@@ -1,18 +1,20 @@
 """The run folder: config, state, episodes, results and recordings of one run.
 
 A run may be interrupted at any moment. Its `status.json` then reads `done` (only once the results
-are written), `failed` with the reason, or `running` with its process id if the process was killed.
+are written), `stopped` or `failed` with the reason, or `running` with its process id if the process
+was killed.
 A run with the same `hydra.run.dir` resumes from the episodes in the folder.
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import socket
 import time
 import traceback
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -23,7 +25,8 @@ from omegaconf import DictConfig, OmegaConf
 from sdfgcn.config.diff import differences, flat
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.episodes import EpisodeResult, EpisodeTable
-from sdfgcn.files import write_json, write_text
+from sdfgcn.files import overwrite_json, write_json, write_text
+from sdfgcn.signals import Terminated
 
 # Keys that change how a run is executed or shown, but not its episodes.
 _FREE_KEYS = (
@@ -67,7 +70,10 @@ class RunFolder:
                 "hydra.run.dir."
             ) from None
         try:
-            self._begin()
+            earlier = self._table.read()
+            if earlier:
+                self._check_same_experiment(len(earlier))
+            self._begin(len(earlier))
         except BaseException:
             self._lock.release()
             raise
@@ -77,14 +83,9 @@ class RunFolder:
         """Write the final state and release the folder."""
         try:
             if error is None:
-                self._write_status(state="done", ended=_now())
+                self._or_tell(lambda: self._write_status(state="done", ended=_now()))
             else:
-                self._write_status(
-                    state="failed",
-                    ended=_now(),
-                    error=_reason(error),
-                    traceback="".join(traceback.format_exception(error)),
-                )
+                self._tell(error)
         finally:
             self._lock.release()
 
@@ -116,13 +117,14 @@ class RunFolder:
         """Write `results.json`."""
         write_json(self.path / "results.json", results)
 
-    def _begin(self) -> None:
+    def _begin(self, n_earlier: int) -> None:
         self._clock = time.monotonic()
-        earlier = self._table.read()
-        if earlier:
-            self._check_same_experiment(len(earlier))
+        if n_earlier:
             self._earlier_s = _earlier_seconds(self.path / "status.json")
-            self._n_episodes = len(earlier)
+            self._n_episodes = n_earlier
+        self._or_tell(self._mark_running)
+
+    def _mark_running(self) -> None:
         (self.path / "results.json").unlink(missing_ok=True)
         write_text(self.path / "config.yaml", OmegaConf.to_yaml(self._cfg, resolve=True))
         self._write_status(
@@ -134,6 +136,23 @@ class RunFolder:
             error=None,
             traceback=None,
         )
+
+    def _or_tell(self, write: Callable[[], None]) -> None:
+        """Write something; if that fails, such as on a full disk, the run has failed."""
+        try:
+            write()
+        except OSError as error:
+            self._tell(error)
+            raise
+
+    def _tell(self, error: BaseException) -> None:
+        """Write that the run was stopped or failed, and why."""
+        news = {"ended": _now(), "error": _reason(error), **_ending(error)}
+        try:
+            self._write_status(**news)
+        except OSError:  # on a full disk, an existing file can still be overwritten
+            with contextlib.suppress(OSError):  # where even the folder is gone
+                overwrite_json(self.path / "status.json", {**self._status, "traceback": None})
 
     def _check_same_experiment(self, n_earlier: int) -> None:
         kept = self.path / "config.yaml"
@@ -178,15 +197,49 @@ def _binding(cfg: Any) -> dict[str, Any]:
 
 
 def _earlier_seconds(status: Path) -> float:
-    """Return the wall time of earlier processes, seconds, from the last status."""
-    if not status.exists():
+    """Return the wall time of earlier processes, seconds, from the last status, if it is whole."""
+    try:
+        return float(json.loads(status.read_text(encoding="utf-8")).get("wall_s", 0.0))
+    except (FileNotFoundError, ValueError):
         return 0.0
-    return float(json.loads(status.read_text(encoding="utf-8")).get("wall_s", 0.0))
+
+
+def mark_stopped(root: Path, error: BaseException) -> None:
+    """Mark the run folders below `root` whose processes were killed while they ran.
+
+    A sweep that is stopped kills its jobs before they can do so themselves.
+
+    Args:
+        root: Where to look; it need not exist.
+        error: What stopped the sweep.
+    """
+    for file in root.rglob("status.json"):
+        # Skipped if it is locked by a process that is still running, or cannot be read or written.
+        with (
+            contextlib.suppress(OSError, ValueError, Timeout),
+            FileLock(file.with_name(".lock"), timeout=0),
+        ):
+            status = json.loads(file.read_text(encoding="utf-8"))
+            if status.get("state") == "running":
+                news = {"ended": _now(), "error": _reason(error), **_ending(error)}
+                write_json(file, {**status, **news})
+
+
+def _ending(error: BaseException) -> dict[str, Any]:
+    """The state after an error, and its traceback unless someone stopped the run."""
+    if isinstance(error, KeyboardInterrupt | SystemExit):  # a scheduler's library raises the latter
+        return {"state": "stopped", "traceback": None}
+    return {"state": "failed", "traceback": "".join(traceback.format_exception(error))}
 
 
 def _reason(error: BaseException) -> str:
-    if isinstance(error, KeyboardInterrupt):
-        return "Interrupted from the keyboard; the same hydra.run.dir goes on from here."
+    if isinstance(error, KeyboardInterrupt | SystemExit):
+        how = "Interrupted from the keyboard"
+        if isinstance(error, Terminated):
+            how = f"Stopped by {error}"
+        elif isinstance(error, SystemExit):
+            how = f"Asked to exit with code {error.code}, as by a scheduler"
+        return f"{how}; the same hydra.run.dir goes on from here."
     return str(error).strip().partition("\n")[0] or type(error).__name__
 
 

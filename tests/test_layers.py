@@ -19,7 +19,7 @@ FILES = sorted((ROOT / "sdfgcn").rglob("*.py"))
 LAYERS = (
     ("errors",),
     ("config",),
-    ("files", "opengl", "processes", "provenance"),
+    ("files", "opengl", "processes", "provenance", "signals"),
     ("registry",),
     ("validation",),
     ("compose",),
@@ -33,7 +33,7 @@ LAYERS = (
     ("train", "viz"),
     ("evaluation",),
     ("run_folder",),
-    ("experiment",),
+    ("experiment", "sweep"),
     ("comparison",),
     ("cli",),
 )

@@ -1,5 +1,6 @@
 """`python run.py`, as a user calls it."""
 
+import contextlib
 import csv
 import json
 import os
@@ -8,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -44,6 +46,7 @@ def start(*arguments: object, **env: str) -> subprocess.Popen:
         text=True,
         # A shell starts what it puts in the background deaf to Ctrl-C, and children inherit that.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+        start_new_session=True,
     )
 
 
@@ -136,24 +139,87 @@ def test_goes_on_with_more_episodes(sweep: tuple[Path, str], tmp_path: Path) -> 
     assert status(folder)["state"] == "done"
 
 
-def test_ctrl_c_keeps_what_is_done(tmp_path: Path) -> None:
-    process = start(
-        *(*SMALL, "eval.episodes=5000", "viz=none", "runtime.workers=1"),
-        f"hydra.run.dir={tmp_path}",
-    )
-    deadline = time.monotonic() + 100
-    while not (tmp_path / "episodes.csv").exists() or len(rows(tmp_path)) < 2:
+ASYNC = (
+    *("model=gt_pose_gcn", "collector=async", "budget=smoke", "budget.pushes=5000"),
+    *("budget.minutes=null", "collector.pushes_per_batch=5", "train.learning_starts=5"),
+    *("train.batch_size=4", "train.log_pushes=5", "train.checkpoint_minutes=0.0001"),
+)
+SWEEP = ("-m", "eval.seed=1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+
+
+@pytest.mark.parametrize(
+    ("more", "number", "whole_group", "awaited"),
+    [
+        (("runtime.workers=1",), signal.SIGINT, False, "episodes.csv"),
+        (("runtime.workers=1",), signal.SIGTERM, True, "episodes.csv"),
+        ((*ASYNC, "runtime.workers=0"), signal.SIGTERM, False, "checkpoint.zip"),
+        ((*SWEEP, "runtime.workers=0"), signal.SIGTERM, False, "*/episodes.csv"),
+    ],
+    ids=["Ctrl-C", "evaluation", "training", "sweep"],
+)
+def test_a_stopped_run_keeps_what_is_done(
+    more: tuple[str, ...], number: signal.Signals, whole_group: bool, awaited: str, tmp_path: Path
+) -> None:
+    """It ends soon, says so, and leaves no process behind."""
+    key = "hydra.sweep.dir" if "-m" in more else "hydra.run.dir"
+    process = start(*SMALL, "eval.episodes=5000", "viz=none", *more, f"{key}={tmp_path}")
+    deadline = time.monotonic() + 200
+    while not list(tmp_path.glob(awaited)):
         assert process.poll() is None, process.communicate()
         assert time.monotonic() < deadline
         time.sleep(0.1)
-    process.send_signal(signal.SIGINT)
-    _, err = process.communicate(timeout=60)  # too short for the episodes that were left
-    assert (process.returncode, err) == (130, "")
-    left = status(tmp_path)
-    assert (left["state"], left["episodes"]) == ("failed", len(rows(tmp_path)))
-    assert "Interrupted" in left["error"]
-    assert 2 <= len(rows(tmp_path)) < 5000
-    assert not (tmp_path / "results.json").exists()
+    (os.killpg if whole_group else os.kill)(process.pid, number)
+    _, err = process.communicate(timeout=100)  # too short for the episodes that were left
+    assert process.returncode == 128 + number
+    assert "Traceback" not in err
+    folders = sorted(path.parent for path in tmp_path.rglob("status.json"))
+    assert folders
+    for folder in folders:
+        left = status(folder)
+        played = len(rows(folder)) if (folder / "episodes.csv").exists() else 0
+        assert left["state"] == "stopped"
+        assert played - 1 <= left["episodes"] <= played < 5000  # a sweep kills its jobs
+        assert ("Interrupted" if number is signal.SIGINT else "Stopped by SIGTERM") in left["error"]
+        assert not (folder / "results.json").exists()
+    while running := group(process.pid):
+        assert time.monotonic() < deadline + 100, running
+        time.sleep(0.1)
+
+
+@pytest.mark.skipif(
+    find_spec("hydra_plugins.hydra_submitit_launcher") is None, reason="not installed"
+)
+def test_a_preempted_job_goes_on(sweep: tuple[Path, str], tmp_path: Path) -> None:
+    """Submitit starts it again, and it ends with the rows of a run that nobody disturbed."""
+    process = start(
+        *("-m", *SMALL, "eval.episodes=3", "viz=none", "runtime.workers=2", "eval.seed=0"),
+        *("hydra/launcher=submitit_local", f"hydra.sweep.dir={tmp_path}"),
+    )
+    deadline = time.monotonic() + 200
+    while not (tmp_path / "0" / "episodes.csv").exists():
+        assert process.poll() is None, process.communicate()
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    job = status(tmp_path / "0")["pid"]
+    os.kill(job, signal.SIGUSR2)
+    _, err = process.communicate(timeout=240)
+    assert process.returncode == 0, err
+    assert status(tmp_path / "0")["state"] == "done"
+    assert status(tmp_path / "0")["pid"] != job
+    assert rows(tmp_path / "0") == rows(sweep[0] / "0")
+    (log,) = tmp_path.glob(".submitit/*/*.err")
+    assert "this job is preempted" in log.read_text()
+
+
+def group(leader: int) -> list[str]:
+    """The processes of a group that are still running, as in /proc."""
+    found = []
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it has just ended
+            stat = file.read_text()
+            state, _, its_group = stat.rpartition(")")[2].split()[:3]
+            found += [stat] if int(its_group) == leader and state != "Z" else []
+    return found
 
 
 # ------------------------------------------------------------------ what must not work

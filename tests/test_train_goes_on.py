@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import csv
 import json
-import zipfile
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
-from configs import real_config
+from configs import CONF, real_config
 from small_network import small_network
 from tensordict import TensorDict
 from toys import TOYS
@@ -21,6 +20,7 @@ from sdfgcn.loggers.files import CsvLogger, NoLogger
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.train.held_out import FIGURES
 from sdfgcn.train.learner import Learner
+from sdfgcn.train.progress import read_curve
 from sdfgcn.train.trainer import Trainer
 from sdfgcn.train.training import BuildNetwork, build_trainer, q_network, train
 
@@ -61,18 +61,47 @@ def same(there: Weights, here: Weights) -> bool:
 # ------------------------------------------------------------------ hindsight
 
 
-def test_hindsight_of_an_unfinished_episode_goes_on(tmp_path: Path) -> None:
-    """Episodes have 16 pushes at most: at the first stop one goes on, and ends after it."""
-    future = ("her=future", "train.env.pushes_per_object=8", "+train.env.success_threshold=0.001")
+HINDSIGHTS = sorted(path.stem for path in (CONF / "her").glob("*.yaml"))
+CURRICULA = sorted(path.stem for path in (CONF / "curriculum").glob("*.yaml"))
+COUNTS = {
+    "many": ("curriculum.counts=[3,4]",),  # TOYS are four
+    "on": (  # every push succeeds, and the seventh at a count opens the next
+        *("curriculum.counts=[1,2,3]", "curriculum.window=7", "curriculum.success_threshold=0.0"),
+        *("curriculum.confidence=0.5", "+train.env.success_threshold=1.0"),
+    ),
+}
+
+
+@pytest.mark.parametrize(
+    ("her", "curriculum"),
+    sorted({*((her, "off") for her in HINDSIGHTS), *(("future", each) for each in CURRICULA)}),
+)
+def test_stopped_and_gone_on_with_is_the_same(her: str, curriculum: str, tmp_path: Path) -> None:
+    """Weights and rows, also if the stop is in an episode that ends after it."""
+    how = (f"her={her}", f"curriculum={curriculum}", *COUNTS.get(curriculum, ()))
+    how = (*how, "train.env.pushes_per_object=3", "train.log_pushes=5")
     for folder in ("whole", "parts"):
         (tmp_path / folder).mkdir()
-    whole = weights_of(tmp_path / "whole", 35, *future)
-    early = weights_of(tmp_path / "parts", 10, *future)
-    with zipfile.ZipFile(tmp_path / "parts" / "checkpoint.zip") as archive:
-        (part,) = (name for name in archive.namelist() if name.endswith("-hindsight/state.json"))
-        assert '"/episode/scene/sdf#' in archive.read(part).decode()
+    whole = weights_of(tmp_path / "whole", 20, *how)
+    early = weights_of(tmp_path / "parts", 10, *how)
+    stop = curve_of(tmp_path / "parts")[-1]
+    in_finished = float(stop["episodes"]) * float(stop["episode_pushes"])
+    assert (in_finished == 10.0) == (curriculum == "on")
     assert not same(whole, early)
-    assert same(whole, weights_of(tmp_path / "parts", 35, *future))
+    assert same(whole, weights_of(tmp_path / "parts", 20, *how))
+    rows = curve_of(tmp_path / "whole")
+    assert rows == curve_of(tmp_path / "parts")
+    assert [row["pushes"] for row in rows] == ["5", "10", "15", "20"]
+    counts = [row["n_objects"] for row in rows]
+    assert counts == ["1", "2", "3", "3"] if curriculum == "on" else len(set(counts)) == 1
+
+
+def curve_of(folder: Path) -> list[dict[str, str]]:
+    """The rows of `train.csv` without what depends on time."""
+    timed = {"seconds", "pushes_per_s", "updates_per_s"}
+    return [
+        {k: v for k, v in row.items() if k not in timed} for row in read_curve(folder / "train.csv")
+    ]
 
 
 def test_a_push_model_goes_on_exactly(tmp_path: Path) -> None:
