@@ -15,23 +15,20 @@ import re
 import sys
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from pathlib import Path
-from typing import Any, ClassVar, TextIO
+from typing import Any, TextIO
 
 import hydra
 import yaml
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from sdfgcn.comparison import overview
-from sdfgcn.comparison.plan import Plan, check, given
+from sdfgcn.comparison.sweep import Comparison, plan_of_job
 from sdfgcn.compose import component_dirs, conf_dir, register_search_path
 from sdfgcn.config import Config
 from sdfgcn.errors import SdfgcnError
@@ -161,73 +158,7 @@ def _run_in_comparison(cfg: DictConfig, job: Any) -> None:
             "experiments are asked for at once; run one experiment a call: "
             f"python run.py -m experiment={name}."
         )
-    run_job(_plan(cfg, job), method, config.seed, Path(job.runtime.output_dir))
-
-
-def _plan(cfg: DictConfig, job: Any) -> Plan:
-    config = typed(cfg)
-    trainings = config.experiment.trainings
-    if Path.cwd() != Path(job.runtime.cwd):  # where a launcher starts its processes elsewhere
-        trainings = str(Path(job.runtime.cwd) / trainings)
-    experiment = replace(config.experiment, trainings=trainings)
-    check(experiment)
-    return Plan(experiment, config.budget, given(job.overrides.task, experiment))
-
-
-class Comparison(Callback):
-    """Shows how far the sweep of an experiment is, and makes its report at the end."""
-
-    # Launchers pickle the callbacks, so what cannot be pickled is kept here.
-    running: ClassVar[Sweep | None] = None
-    finished: ClassVar[Sweep | None] = None  # if no job failed
-
-    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Start the overview."""
-        Comparison.running = Sweep(config)
-
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Stop the overview."""
-        if Comparison.running is not None:
-            Comparison.running.overview.stop()
-        Comparison.finished = Comparison.running
-
-
-class Sweep:
-    """The sweep of an experiment, in the process that launches its jobs."""
-
-    def __init__(self, config: DictConfig) -> None:
-        """Start its overview; `config` has the key `hydra`."""
-        job = config.hydra
-        with open_dict(job):  # not set before the jobs
-            job.runtime.cwd = str(Path.cwd())
-        own = [str(key) for key in config if key != "hydra"]
-        self._plan = _plan(OmegaConf.masked_copy(config, own), job)
-        self._folder = Path(job.sweep.dir)
-        self._methods = _asked(job, "experiment.method")
-        self._seeds = [int(seed) for seed in _asked(job, "seed")]
-        every = overview.jobs(self._plan, self._folder, self._methods, self._seeds)
-        os.environ["TQDM_DISABLE"] = "1"  # one line for all jobs instead of one for each
-        self.overview = overview.Overview(self._plan, every)
-        self.overview.start()
-
-    def report(self) -> str:
-        """Write the table, figures and rows into the sweep's folder; return the table."""
-        from sdfgcn.comparison.report import write_report
-
-        table = write_report(self._plan, self._folder, self._methods, self._seeds, self._folder)
-        return f"{table}\nTable, figures and rows: {self._folder}"
-
-
-def _asked(job: DictConfig, key: str) -> list[str]:
-    """The values that a sweep gives to a key: the experiment's, or those of the command line."""
-    values = str(job.sweeper.params[key])
-    for override in job.overrides.task:
-        name, _, value = override.partition("=")
-        values = value if name == key else values
-    parsed = OverridesParser.create().parse_override(f"{key}={values}")
-    if parsed.is_sweep_override():
-        return [str(value) for value in parsed.sweep_string_iterator()]
-    return [str(parsed.value())]
+    run_job(plan_of_job(cfg, job), method, config.seed, Path(job.runtime.output_dir))
 
 
 class LogFailedJob(Callback):
