@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import Any, TextIO
 
 import hydra
-import yaml
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
@@ -29,11 +28,12 @@ from omegaconf import DictConfig, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
 from sdfgcn.comparison.sweep import Comparison, plan_of_job
-from sdfgcn.compose import component_dirs, conf_dir, register_search_path
+from sdfgcn.compose import conf_dir, register_search_path
 from sdfgcn.config import Config
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.report import text
 from sdfgcn.experiment import run_experiment
+from sdfgcn.help import all_keys, help_text
 from sdfgcn.opengl import check_opengl
 from sdfgcn.run_folder import RunFolder
 from sdfgcn.validation import typed
@@ -48,6 +48,9 @@ def main() -> None:
     Raises:
         SystemExit: See `run_plainly`.
     """
+    if {"-h", "--help"} & set(sys.argv[1:]):  # Hydra's own has no comments, and composes first
+        print(help_text())
+        return
     register_search_path()
     run_plainly(_command)
 
@@ -221,7 +224,7 @@ def _tell_config_error(error: BaseException) -> str:
 def _hint(asked: str) -> str:
     """Suggest the keys or the group that was probably meant."""
     meant: dict[str, list[str]] = {}
-    keys = _all_keys()
+    keys = all_keys()
     if asked in keys:
         return "it belongs to another option of its group."
     for key in keys:
@@ -235,26 +238,6 @@ def _hint(asked: str) -> str:
     depth = min(key.count(".") for key in meant[close[0]])
     nearest = sorted(key for key in meant[close[0]] if key.count(".") == depth)
     return f"did you mean {' or '.join(nearest)}?"
-
-
-def _all_keys() -> set[str]:
-    """All keys of all options."""
-    keys = set(_keys(yaml.safe_load((conf_dir() / "config.yaml").read_text(encoding="utf-8"))))
-    for folder in (conf_dir(), *component_dirs()):
-        for file in folder.glob("*/*.yaml"):
-            text = file.read_text(encoding="utf-8")
-            header = re.match(r"# @package (\S+)", text)
-            package = header[1] if header else file.parent.name
-            keys.update(_keys(yaml.safe_load(text), "" if package == "_global_" else f"{package}."))
-    return keys
-
-
-def _keys(values: dict[str, Any], prefix: str = "") -> Iterator[str]:
-    for key, value in values.items():
-        if isinstance(value, dict):
-            yield from _keys(value, f"{prefix}{key}.")
-        elif key != "defaults":
-            yield f"{prefix}{key}"
 
 
 def _gist(error: BaseException) -> str:

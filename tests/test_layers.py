@@ -23,6 +23,7 @@ LAYERS = (
     ("registry",),
     ("validation",),
     ("compose",),
+    ("help",),
     ("loggers", "objects"),
     ("task",),
     ("sim",),
