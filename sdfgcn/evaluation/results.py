@@ -91,8 +91,8 @@ def t_interval(values: Sequence[float], most: float = math.inf) -> tuple[float, 
     """Return Student's t 95% confidence interval of the mean; None for fewer than two values.
 
     Args:
-        values: None is below 0.
-        most: The largest possible value; the interval is cut at 0 and here.
+        values: Each from 0 to `most`.
+        most: The largest possible value; the interval is cut at 0 and there.
     """
     if len(values) < 2:
         return None
@@ -100,4 +100,4 @@ def t_interval(values: Sequence[float], most: float = math.inf) -> tuple[float, 
 
     middle = sum(values) / len(values)
     half = float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
-    return max(0.0, middle - half), min(max(most, middle), middle + half)
+    return max(0.0, middle - half), min(most, middle + half)
