@@ -27,6 +27,7 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
+from sdfgcn.callbacks import how_to_go_on
 from sdfgcn.comparison.sweep import Comparison, plan_of_job
 from sdfgcn.compose import conf_dir, register_search_path
 from sdfgcn.config import Config
@@ -123,6 +124,7 @@ def run_plainly(main: Callable[[], Any]) -> None:
         with contextlib.redirect_stderr(_WithoutPreamble(sys.stderr)):
             main()
     except KeyboardInterrupt:
+        print(how_to_go_on(), file=sys.stderr)
         sys.exit(130)
     except Exception as error:
         sentence = to_sentence(error)

@@ -33,7 +33,7 @@ LAYERS = (
     ("agents",),
     ("train", "viz"),
     ("evaluation",),
-    ("run_folder",),
+    ("run_folder", "callbacks"),
     ("experiment",),
     ("comparison",),
     ("cli",),

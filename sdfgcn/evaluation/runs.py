@@ -37,7 +37,7 @@ def collect(folders: Iterable[Path]) -> list[Row]:
             )
         for run in sorted(runs - done):
             print(f"Left out: {run} ({states[run].get('state')}).", file=sys.stderr)
-        rows |= {run: _row(_read(run / "results.json"), states[run]) for run in done}
+        rows |= {run: _row(_read(run / "results.json"), states[run]) for run in sorted(done)}
     return sorted(rows.values(), key=_order)
 
 
