@@ -124,15 +124,16 @@ def test_a_scene_does_not_depend_on_those_before_it() -> None:
     assert matching.mean_color(again.goal)[0] == pytest.approx(color)
 
 
-def test_goes_on_only_with_its_own_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(matching, "RESULTS", tmp_path)
+def test_goes_on_only_with_its_own_rows(tmp_path: Path) -> None:
     head = {"seed": 0, "scenes": 10, "git": {"commit": "a", "dirty": False}}
-    assert matching.finished("mine", head) == []
+    assert matching.finished(tmp_path, "mine", head) == []
     written = {**head, "git": {"commit": "a", "dirty": True}, "rows": [row(2), row(3)]}
     (tmp_path / "mine.json").write_text(json.dumps(written))
-    assert matching.finished("mine", head) == written["rows"]
-    assert matching.finished("mine", {**head, "seed": 1}) == []
-    assert matching.finished("mine", {**head, "git": {"commit": "b", "dirty": False}}) == []
+    assert matching.finished(tmp_path, "mine", head) == written["rows"]
+    assert matching.finished(tmp_path, "mine", {**head, "seed": 1}) == []
+    assert (
+        matching.finished(tmp_path, "mine", {**head, "git": {"commit": "b", "dirty": False}}) == []
+    )
 
 
 def test_the_figure_shows_the_hardest_scenes_and_all_failures() -> None:
