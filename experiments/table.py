@@ -1,12 +1,14 @@
 """A table of finished runs beside the paper's figures.
 
     python experiments/table.py rule_based multirun/2026-01-31/12-00-00 outputs/2026-01-31/14-00-00
+    python experiments/table.py rule_based FOLDER... --publish
     python experiments/table.py rule_based FOLDER... --readme README.md
 
-Takes every run folder at or below the given folders and writes `results/<name>.json` (each run's
-`results.json`, its command line's overrides and the paper's figure) and `results/<name>.md`. With
-`--readme`, the table is also inserted between the lines `<!-- results:<name> -->` and
-`<!-- /results -->` of that file.
+Takes every run folder at or below the given folders and writes `<name>.json` (each run's
+`results.json`, its command line's overrides and the paper's figure) and `<name>.md` to
+`outputs/experiments`. With `--publish` they go to `experiments/results`, and the table also between
+the lines `<!-- results:<name> -->` and `<!-- /results -->` of `README.md` or a file of `docs/`,
+where there are such lines. `--readme FILE` publishes likewise, with that file.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from common import RESULTS
+from common import PUBLISH, PUBLISH_HELP, ROOT, results_folder
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.report import markdown
@@ -41,12 +43,21 @@ def filled(text: str, name: str, content: str, file: Path) -> str:
     return f"{before}{begin}\n{content}{END}{after}"
 
 
+def places_of(name: str) -> list[Path]:
+    """The README and the pages of the docs that have the marker lines of a table."""
+    pages = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    return [
+        page for page in pages if f"<!-- results:{name} -->" in page.read_text(encoding="utf-8")
+    ]
+
+
 def arguments_of(
     parser: argparse.ArgumentParser, given: Sequence[str] | None
 ) -> argparse.Namespace:
     """Parse the command line of a table: the parser's own arguments, and where files go."""
-    parser.add_argument("--readme", type=Path, help="a file with marker lines to fill as well")
-    parser.add_argument("--results", type=Path, default=RESULTS, help="where the files go")
+    parser.add_argument(PUBLISH, action="store_true", help=f"{PUBLISH_HELP}, and to the docs")
+    parser.add_argument("--readme", type=Path, help="publish, with this file's marker lines")
+    parser.add_argument("--results", type=Path, help="another folder for the files")
     parsed = parser.parse_args(given)
     if not re.fullmatch(r"\w[\w.-]*", parsed.name):
         parser.error(f"NAME is '{parsed.name}', but must be a file name without folders.")
@@ -56,11 +67,11 @@ def arguments_of(
 def publish(
     given: argparse.Namespace, name: str, make: Callable[[], tuple[str, Callable[[Path], None]]]
 ) -> int:
-    """Write `<name>.md`, its companion files and the README's copy, and print the table.
+    """Write `<name>.md`, its companion files and the copies in docs, and print the table.
 
     Args:
         given: What `arguments_of` returned.
-        name: Name of the files and of the README's marker.
+        name: Name of the files and of the marker lines.
         make: Returns the table, and a function that writes the other files into a folder.
 
     Returns:
@@ -68,19 +79,22 @@ def publish(
     """
     try:
         table, write_others = make()
-        readme = None
-        if given.readme:  # before anything is written
-            text = given.readme.read_text(encoding="utf-8")
-            readme = filled(text, name, table, given.readme)
-        given.results.mkdir(parents=True, exist_ok=True)
-        write_others(given.results)
-        write_text(given.results / f"{name}.md", table)
-        if readme is not None:
-            write_text(given.readme, readme)
+        places = [given.readme] if given.readme else places_of(name) if given.publish else []
+        pages = {  # before anything is written
+            place: filled(place.read_text(encoding="utf-8"), name, table, place) for place in places
+        }
+        folder = given.results or results_folder(given.publish or given.readme is not None)
+        folder.mkdir(parents=True, exist_ok=True)
+        write_others(folder)
+        write_text(folder / f"{name}.md", table)
+        for place, page in pages.items():
+            write_text(place, page)
     except (SdfgcnError, OSError) as error:
         print(error, file=sys.stderr)
         return 1
     print(table, end="")
+    told = ", ".join(map(str, (folder / f"{name}.*", *places)))
+    print(f"Wrote {told}.", file=sys.stderr)
     return 0
 
 
