@@ -4,8 +4,8 @@
     python experiments/learning_curve.py sdfgcn FOLDER --readme README.md --rows 12
 
 Copies the `train.csv` of a run folder to `outputs/experiments/<name>_curve.csv` and writes a
-table of rows evenly spaced in time (`.md`) and a picture (`.png`). `--publish` and `--readme` are as in
-`table.py`, with the lines `<!-- results:<name>_curve -->` and `<!-- /results -->`.
+table of rows evenly spaced in time (`.md`) and a picture (`.png`). `--publish` and `--readme` are
+as in `table.py`, with the lines `<!-- results:<name>_curve -->` and `<!-- /results -->`.
 """
 
 from __future__ import annotations
