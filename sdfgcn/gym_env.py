@@ -10,7 +10,7 @@ The import registers the env; `gymnasium.make("sdfgcn.gym_env:sdfgcn/Rearrangeme
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 import numpy as np
@@ -34,7 +34,7 @@ class GymRearrangement(gymnasium.Env[Observation, np.int64]):
     (`env.pushes_per_object`), so no time limit is needed.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 1}  # noqa: RUF012
 
     def __init__(self, overrides: Sequence[str] = (), render_mode: str | None = None) -> None:
         """Build the env of a config.
@@ -68,8 +68,8 @@ class GymRearrangement(gymnasium.Env[Observation, np.int64]):
         self._td["action"] = torch.tensor(int(action))
         self._td = self._env.step(self._td)["next"]
         observation, info = self._observed()
-        ends = (bool(self._td[key]) for key in ("terminated", "truncated"))
-        return observation, float(self._td["reward"]), *ends, info
+        terminated, truncated = (bool(self._td[key]) for key in ("terminated", "truncated"))
+        return observation, float(self._td["reward"]), terminated, truncated, info
 
     def render(self) -> Any:
         """The current picture, uint8 [H, W, 3], with `render_mode="rgb_array"`."""
@@ -83,7 +83,9 @@ class GymRearrangement(gymnasium.Env[Observation, np.int64]):
             self._env.close()
 
     def _observed(self) -> tuple[Observation, dict[str, Any]]:
-        observation = _arrays(self._td, self.observation_space)
+        space = self.observation_space
+        assert isinstance(space, spaces.Dict)
+        observation = _arrays(self._td, space)
         info = {key: bool(self._td[key]) for key in _INFO}
         return observation, {**info, "action_mask": observation["action_mask"]}
 
