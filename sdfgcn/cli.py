@@ -14,7 +14,7 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -30,7 +30,7 @@ from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBase
 from sdfgcn.callbacks import how_to_go_on
 from sdfgcn.comparison.sweep import Comparison, plan_of_job
 from sdfgcn.compose import conf_dir, register_search_path
-from sdfgcn.config import Config
+from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.report import text
 from sdfgcn.experiment import run_experiment
@@ -40,6 +40,7 @@ from sdfgcn.run_folder import RunFolder
 from sdfgcn.validation import typed
 
 _FULL_ERROR = "HYDRA_FULL_ERROR"
+_TRAINING = ("train", "budget", "collector", "curriculum", "her", "augment")  # groups
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -72,15 +73,31 @@ def run(cfg: DictConfig) -> float | None:
         _run_in_comparison(cfg, job)
         return None
     folder = Path(job.runtime.output_dir)
-    results = _evaluated(cfg, folder, job)
+    results = _evaluated(cfg, folder, job, tell=True)
     beside = [_evaluated(other, folder / "baseline", job) for other in _baseline(cfg)]
     print(f"{text(results, beside)}\nRun folder: {folder}")
     return results["success_rate"]
 
 
-def _evaluated(cfg: DictConfig, path: Path, job: Any) -> dict[str, Any]:
+def _evaluated(cfg: DictConfig, path: Path, job: Any, tell: bool = False) -> dict[str, Any]:
     with RunFolder(path, cfg, job.overrides.task) as folder:
-        return run_experiment(_checked(cfg), folder)
+        config = _checked(cfg)
+        if tell and (told := without_effect(config, job.overrides.task)):
+            logging.getLogger(__name__).warning(told)
+        return run_experiment(config, folder)
+
+
+def without_effect(config: Config, overrides: Sequence[str]) -> str | None:
+    """Say which overrides of a run are for training, if nothing is trained; None if none are."""
+    if isinstance(config.model, QNetworkConfig) and config.checkpoint is None:
+        return None
+    keys = {override: override.lstrip("+~").partition("=")[0] for override in overrides}
+    idle = [
+        override for override, key in keys.items() if key.startswith(_TRAINING) or "@train." in key
+    ]
+    if config.runtime.device != "cpu":
+        idle.append(f"runtime.device={config.runtime.device}")
+    return f"Without effect, as nothing is trained: {', '.join(idle)}." if idle else None
 
 
 def _baseline(cfg: DictConfig) -> list[DictConfig]:

@@ -16,7 +16,7 @@ from configs import compose_config, real_config
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from sdfgcn.cli import to_sentence
+from sdfgcn.cli import to_sentence, without_effect
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.experiment import run_experiment
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
@@ -189,6 +189,25 @@ def test_hydra_errors_in_one_sentence(overrides: list[str], told: str) -> None:
     assert sentence is not None
     assert sentence.startswith(told) or sentence.endswith(told)
     assert "\n" not in sentence
+
+
+@pytest.mark.parametrize(
+    ("overrides", "idle"),
+    [
+        (["model=rule_based", "budget=smoke", "n_objects=2"], "budget=smoke"),
+        (["train.batch_size=8", "robot@train.env.robot=ur5e"], "train.batch_size=8, robot@train."),
+        (["model=sdfgcn", "checkpoint=sdfgcn", "+train.env.pixels=true"], "+train.env.pixels=true"),
+        (["model=sdfgcn", "budget=smoke"], None),
+        (["eval=greedy", "runtime.workers=0"], None),
+    ],
+)
+def test_what_has_no_effect_is_said(overrides: list[str], idle: str | None) -> None:
+    told = without_effect(real_config(*overrides), overrides)
+    if idle is None:
+        assert told is None
+    else:
+        assert told is not None
+        assert told.startswith(f"Without effect, as nothing is trained: {idle}")
 
 
 def test_an_error_of_ours_keeps_its_traceback() -> None:
