@@ -1,12 +1,12 @@
 """The table of an experiment (`experiment=table1`, ...) from the folder of its sweep.
 
     python experiments/comparison.py table1 multirun/table1
+    python experiments/comparison.py table1 multirun/table1 --publish
     python experiments/comparison.py table1 multirun/table1 --seeds 0 --readme README.md
 
-Writes `results/<name>.json` (every row), `results/<name>.md` and figures, `results/<name>_*.png`.
-With `--readme`, the table is also inserted between the lines `<!-- results:<name> -->` and
-`<!-- /results -->` of that file. A missing method, seed or cell is an error; ask for less with
-`--methods` and `--seeds`, or leave out unfinished cells with `--partial`.
+Writes `<name>.json` (every row), `<name>.md` and figures, `<name>_*.png`, to `outputs/experiments`;
+`--publish` and `--readme` are as in `table.py`. A missing method, seed or cell is an error; ask for
+less with `--methods` and `--seeds`, or leave out unfinished cells with `--partial`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from common import load
+from common import load, run
 from table import arguments_of, publish
 
 from sdfgcn.comparison.plan import Plan
@@ -32,6 +32,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", nargs="+", type=int, help="the training seeds; all by default")
     parser.add_argument("--partial", action="store_true", help="leave out unfinished cells")
     given = arguments_of(parser, arguments)
+    return run(lambda: _table(given))
+
+
+def _table(given: argparse.Namespace) -> int:
     config = load([f"experiment={given.name}"])
     plan = Plan(config.experiment, config.budget, ())
     methods = given.methods or list(config.experiment.methods)
