@@ -19,7 +19,7 @@ FILES = sorted((ROOT / "sdfgcn").rglob("*.py"))
 LAYERS = (
     ("errors",),
     ("config",),
-    ("files", "opengl", "processes", "provenance"),
+    ("files", "opengl", "processes", "progress_bar", "provenance"),
     ("registry",),
     ("validation",),
     ("compose",),

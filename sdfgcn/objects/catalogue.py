@@ -8,13 +8,12 @@ import logging
 from dataclasses import asdict
 from pathlib import Path
 
-from tqdm import tqdm
-
 from sdfgcn.config import SPLITS, ObjectsConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.objects.prepare import prepare
 from sdfgcn.objects.storage import cache_dir, read_models, write_models
+from sdfgcn.progress_bar import progress_bar
 from sdfgcn.registry import OBJECTS
 
 FORMAT = 3  # increment whenever the same settings would yield different objects
@@ -56,8 +55,8 @@ def catalogue_folder(cfg: ObjectsConfig) -> Path:
 def _build(cfg: ObjectsConfig) -> list[ObjectModel]:
     source = OBJECTS.find(cfg.name)
     models = []
-    bar = tqdm(
-        source.recipes(cfg), desc=f"Building the {cfg.name} catalogue", unit="object", disable=None
+    bar = progress_bar(
+        source.recipes(cfg), desc=f"Building the {cfg.name} catalogue", unit="object"
     )
     for recipe in bar:
         bar.set_postfix_str(recipe.name, refresh=False)
