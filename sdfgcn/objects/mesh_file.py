@@ -60,6 +60,8 @@ def _reason(error: Exception) -> str:
 def _loaded(file: MeshFile, trimesh: ModuleType) -> Any:
     """The file as one `trimesh.Trimesh`, whose vertices and faces are numbers."""
     size = file.path.stat().st_size
+    if shown(file.path) != str(file.path):
+        raise ValueError("its path is no valid UTF-8, so rename it")
     if size == 0:
         raise ValueError("the file is empty")
     if size > BYTES_MAX:
@@ -68,7 +70,8 @@ def _loaded(file: MeshFile, trimesh: ModuleType) -> Any:
         )
     with file.path.open("rb"):  # so that a missing permission is named, whatever the reader does
         pass
-    mesh = trimesh.load_scene(file.path).to_mesh()
+    # Unprocessed: trimesh would drop what is not finite, and weld all of a tiny mesh.
+    mesh = trimesh.load_scene(file.path, process=False).to_mesh()
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     if len(faces) == 0:
         raise ValueError("it has no faces")
@@ -87,6 +90,7 @@ def _cleaned(mesh: Any) -> Any:
     if not 0 < size < np.inf:
         raise ValueError("all its vertices are in one place" if size == 0 else "it is too large")
     mesh.vertices = (np.asarray(mesh.vertices) - low) / size
+    mesh.merge_vertices()
     corners = np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     mesh.update_faces((0.5 * np.linalg.norm(normals, axis=1) > NO_AREA) & mesh.unique_faces())
