@@ -19,7 +19,7 @@ FILES = sorted((ROOT / "sdfgcn").rglob("*.py"))
 LAYERS = (
     ("errors",),
     ("config",),
-    ("files", "opengl", "processes", "provenance", "signals"),
+    ("files", "opengl", "processes", "progress_bar", "provenance", "signals"),
     ("registry",),
     ("validation",),
     ("compose",),

@@ -10,7 +10,8 @@ from configs import real_config
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
-from sdfgcn.objects.sources.shapenet import divided, find_meshes
+from sdfgcn.objects.mesh_folder import find_meshes
+from sdfgcn.objects.sources.shapenet import divided
 
 
 @pytest.fixture(scope="module")
@@ -70,9 +71,9 @@ def test_layouts(tmp_path):
         "toys/x.STL",
         "y.glb",
     ) == {
-        "02876657/abc/models/model_normalized.obj": ("abc", "bottle"),
-        "models/f00.obj": ("f00", "Mug"),
-        "toys/x.STL": ("x", "toys"),
+        "02876657/abc/models/model_normalized.obj": ("bottle_abc", "bottle"),
+        "models/f00.obj": ("Mug_f00", "Mug"),
+        "toys/x.STL": ("toys_x", "toys"),
         "y.glb": ("y", "y"),
     }
 
@@ -95,10 +96,10 @@ def test_default_split_keeps_categories_apart(tmp_path):
 def test_catalogue_of_three_formats(cfg, meshes, caplog):
     with caplog.at_level(logging.WARNING):
         models = {m.name: m for split in ("train", "test") for m in load_catalogue(cfg, split)}
-    assert set(models) == {"abc", "ring", "cube"}
+    assert set(models) == {"02876657_abc", "rings_ring", "cubes_cube"}
     assert "broken.obj" in caplog.text
-    assert len(models["ring"].pieces) > 3  # the hole stays open
-    cube = models["cube"]
+    assert len(models["rings_ring"].pieces) > 3  # the hole stays open
+    cube = models["cubes_cube"]
     assert cube.texture is not None and cube.texture[0, 0].tolist() == [255, 0, 0]
     assert cube.uv is not None
     np.testing.assert_allclose(cube.uv[0], [0.25, 0.9], atol=1e-5)  # v turned over
@@ -111,8 +112,8 @@ def test_split_file(cfg, meshes, tmp_path):
     split = tmp_path / "split.yaml"
     split.write_text("train: [rings]\ntest: [cubes/cube.glb]\n")
     listed = dataclasses.replace(cfg, split_file=str(split))
-    assert [m.name for m in load_catalogue(listed, "train")] == ["ring"]
-    assert [m.name for m in load_catalogue(listed, "test")] == ["cube"]
+    assert [m.name for m in load_catalogue(listed, "train")] == ["rings_ring"]
+    assert [m.name for m in load_catalogue(listed, "test")] == ["cubes_cube"]
     assert catalogue_folder(listed) != catalogue_folder(cfg)
     split.write_text("train: [rings]\ntest: [nothing]\n")
     with pytest.raises(SdfgcnError, match="'nothing' under test"):

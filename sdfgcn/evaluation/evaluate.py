@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from tqdm import tqdm
 
 from sdfgcn.config import Config, EnvConfig
 from sdfgcn.errors import SdfgcnError
@@ -27,6 +26,7 @@ from sdfgcn.evaluation.episodes import EpisodeResult
 from sdfgcn.evaluation.play import Env, Recorder, episode_seeds, play_episode
 from sdfgcn.loggers import Logger
 from sdfgcn.processes import follow_parent
+from sdfgcn.progress_bar import progress_bar
 
 # Modules that load torch are imported where used: a main process with workers needs none.
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def watch(
 ) -> Iterator[EpisodeResult]:
     """Yield episodes unchanged, with a progress bar and running metrics.
 
-    The bar shows the time left and the success rate so far, on stderr if that is a terminal.
+    The bar shows the time left and the success rate so far, on stderr.
 
     Args:
         episodes: The episodes as they end.
@@ -95,7 +95,7 @@ def watch(
         logger: Receives the metrics; the step is the number of finished episodes.
     """
     successes = sum(episode.success for episode in finished)
-    with tqdm(total=total, initial=len(finished), unit="episode", disable=None) as bar:
+    with progress_bar(total=total, initial=len(finished), unit="episode") as bar:
         for played, episode in enumerate(episodes, start=len(finished) + 1):
             successes += episode.success
             figures = {

@@ -8,13 +8,13 @@ import logging
 from dataclasses import asdict
 from pathlib import Path
 
-from tqdm import tqdm
-
 from sdfgcn.config import SPLITS, ObjectsConfig
 from sdfgcn.errors import SdfgcnError
-from sdfgcn.objects.model import ObjectModel
+from sdfgcn.objects.model import ObjectModel, Recipe
 from sdfgcn.objects.prepare import prepare
 from sdfgcn.objects.storage import cache_dir, read_models, write_models
+from sdfgcn.objects.visible import made_visible
+from sdfgcn.progress_bar import progress_bar
 from sdfgcn.registry import OBJECTS
 
 FORMAT = 3  # increment whenever the same settings would yield different objects
@@ -29,8 +29,8 @@ def load_catalogue(cfg: ObjectsConfig, split: str) -> tuple[ObjectModel, ...]:
 
     Raises:
         SdfgcnError: The source or split is unknown, the limits contradict each other, the cache is
-            damaged or not writable, `scanned` has no network, `shapenet` has a bad directory, or
-            the split is empty.
+            damaged or not writable, `scanned` has no network, `shapenet` has a bad directory or no
+            usable mesh, or the split is empty.
     """
     OBJECTS.find(cfg.name)
     if split not in SPLITS:
@@ -55,16 +55,36 @@ def catalogue_folder(cfg: ObjectsConfig) -> Path:
 
 def _build(cfg: ObjectsConfig) -> list[ObjectModel]:
     source = OBJECTS.find(cfg.name)
+    recipes = source.recipes(cfg)
+    bar = progress_bar(recipes, desc=f"Building the {cfg.name} catalogue", unit="object")
     models = []
-    bar = tqdm(
-        source.recipes(cfg), desc=f"Building the {cfg.name} catalogue", unit="object", disable=None
-    )
     for recipe in bar:
         bar.set_postfix_str(recipe.name, refresh=False)
-        try:
+        if source.lenient:
+            models += _if_usable(recipe, cfg)
+        else:
             models.append(prepare(recipe, cfg))
-        except SdfgcnError as error:
-            if not source.lenient:
-                raise
-            log.warning("Left out: %s", error)
+    if not models:
+        raise SdfgcnError(
+            f"None of the {len(recipes)} objects of objects={cfg.name} can be used; the warnings "
+            "before this say why."
+        )
     return models
+
+
+def _if_usable(recipe: Recipe, cfg: ObjectsConfig) -> list[ObjectModel]:
+    """The object in a list, or an empty one and a line in the log that says what is wrong.
+
+    A user's mesh may break any library on the way, and must not end the whole catalogue.
+    """
+    try:
+        return [made_visible(prepare(recipe, cfg))]
+    except SdfgcnError as error:
+        log.warning("Left out: %s", error)
+    except Exception as error:
+        reason = " ".join(str(error).split()) or "no reason given"
+        log.warning(
+            "Left out: The object %s cannot be prepared (%s: %s).",
+            recipe.name, type(error).__name__, reason,
+        )  # fmt: skip
+    return []

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from omegaconf.errors import OmegaConfBaseException
 from PIL import Image, ImageDraw
 from scipy.spatial.transform import Rotation
-from tqdm import tqdm
 
 from sdfgcn.compose import load_config
 from sdfgcn.config import SPLITS, ObjectsConfig
@@ -24,6 +23,7 @@ from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import replaced
 from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.objects.model import ObjectModel
+from sdfgcn.progress_bar import progress_bar
 
 TILE = 200  # pixels, side of one object's picture
 CAPTION = 46  # pixels, height of the caption below it
@@ -39,7 +39,7 @@ def draw_sheet(cfg: ObjectsConfig, pieces: bool = False) -> Image.Image:
     models = [model for split in SPLITS for model in load_catalogue(cfg, split)]
     rows = -(-len(models) // COLUMNS)
     sheet = Image.new("RGB", (COLUMNS * TILE, rows * (TILE + CAPTION)), "white")
-    for index, model in enumerate(tqdm(models, desc="Drawing", unit="object", disable=None)):
+    for index, model in enumerate(progress_bar(models, desc="Drawing", unit="object")):
         corner = (index % COLUMNS * TILE, index // COLUMNS * (TILE + CAPTION))
         sheet.paste(Image.fromarray(_picture(model, cfg.palette, index, pieces)), corner)
         text = ImageDraw.Draw(sheet)

@@ -14,10 +14,9 @@ import tempfile
 import zipfile
 from pathlib import Path
 
-from tqdm import tqdm
-
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.objects.storage import cache_dir, new_folder
+from sdfgcn.progress_bar import progress_bar
 
 PACKAGE = "myosuite==2.12.2"
 WHEEL = "myosuite-2.12.2-py3-none-any.whl"
@@ -91,7 +90,7 @@ def _unpack(wheel: Path, target: Path) -> None:
             if name.startswith(tuple(f"{PREFIX}{folder}/" for folder in FOLDERS))
             and not name.endswith("/")
         ]
-        for name in tqdm(members, desc="Unpacking the scanned objects", unit="file", disable=None):
+        for name in progress_bar(members, desc="Unpacking the scanned objects", unit="file"):
             path = target / os.path.relpath(name, PREFIX)
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(archive.read(name))

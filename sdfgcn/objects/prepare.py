@@ -21,7 +21,8 @@ def prepare(recipe: Recipe, cfg: ObjectsConfig) -> ObjectModel:
     """Build one catalogue entry: the scaled object with its resting poses.
 
     Raises:
-        SdfgcnError: The object never comes to rest, or one of its collision pieces is flat.
+        SdfgcnError: The object never comes to rest, MuJoCo cannot simulate it, or one of its
+            collision pieces is flat.
     """
     try:
         shape = _reduced(recipe.build(), cfg)
@@ -30,7 +31,13 @@ def prepare(recipe: Recipe, cfg: ObjectsConfig) -> ObjectModel:
     first = _first_scale(shape, cfg)
     shape = shape.mapped(lambda points: points * first)
     for _ in range(3):
-        poses = _poses(shape, cfg, name_generator(recipe.name))
+        try:
+            poses = _poses(shape, cfg, name_generator(recipe.name))
+        except ValueError as error:  # from MuJoCo, such as a mass below its least
+            reason = " ".join(str(error).split())
+            raise SdfgcnError(
+                f"The object {recipe.name} cannot be simulated ({reason}); it may be too thin."
+            ) from error
         if not poses:
             raise SdfgcnError(
                 f"The object {recipe.name} never comes to rest within settle_seconds="

@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from tqdm import tqdm
 
 from sdfgcn.config import SegmentationTrainingConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import replaced
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
 from sdfgcn.objects.storage import cache_dir
+from sdfgcn.progress_bar import progress_bar
 from sdfgcn.segmentation.arrangements import ArrangementWorld
 
 FORMAT = 1  # increment whenever the same settings would give other pictures
@@ -56,11 +56,10 @@ def load_pictures(config: SegmentationTrainingConfig) -> Pictures:
         load_catalogue(catalogue, "train")  # once, rather than in every worker
     shards = _shards(config)
     missing = [shard for shard in shards if not (folder / shard.file).exists()]
-    with tqdm(
+    with progress_bar(
         total=len(missing) * SHARD * config.arrangements.appearances,
         desc="Rendering",
         unit="picture",
-        disable=None,
     ) as bar:
         for count in _render_all(config, folder, missing):
             bar.update(count)
@@ -144,7 +143,7 @@ def render_shard(config: SegmentationTrainingConfig, folder: Path, shard: Shard)
 
 def _read(files: Sequence[Path]) -> Pictures:
     pixels, labels = [], []
-    for file in tqdm(files, desc="Reading pictures", unit="shard", disable=None):
+    for file in progress_bar(files, desc="Reading pictures", unit="shard"):
         try:
             with np.load(file, allow_pickle=False) as arrays:
                 shard = arrays["pixels"], arrays["labels"]

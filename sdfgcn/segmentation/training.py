@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import torch
 from filelock import FileLock, Timeout
-from tqdm import tqdm
 
 from sdfgcn.config import SegmentationTrainingConfig
 from sdfgcn.config.diff import differences, flat
@@ -23,6 +22,7 @@ from sdfgcn.objects.catalogue import load_catalogue
 from sdfgcn.perception.segmenters.config import UCNConfig
 from sdfgcn.perception.segmenters.network import UCN
 from sdfgcn.perception.segmenters.ucn import UCNSegmenter, make_network, save_network
+from sdfgcn.progress_bar import progress_bar
 from sdfgcn.segmentation.augment import augmented
 from sdfgcn.segmentation.dataset import Pictures, load_pictures
 from sdfgcn.segmentation.loss import clustering_loss
@@ -104,8 +104,8 @@ class Training:
         """Train to the last step, validating and saving a checkpoint every `checkpoint_steps`."""
         config, clock = self._config, time.monotonic()
         recent: list[tuple[float, float]] = []
-        with tqdm(
-            total=config.steps, initial=self.step, desc="Training", unit="update", disable=None
+        with progress_bar(
+            total=config.steps, initial=self.step, desc="Training", unit="update"
         ) as bar:
             while self.step < config.steps:
                 recent.append(self._update(pictures))

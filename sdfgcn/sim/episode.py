@@ -38,14 +38,22 @@ class EpisodeSpec:
     colors: NDArray[np.float64]
 
 
-def draw_episode(seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig) -> EpisodeSpec:
+def draw_episode(
+    seed: int, catalogue: Sequence[ObjectModel], config: EnvConfig, redraw: int = 0
+) -> EpisodeSpec:
     """Draw an episode from its seed alone.
+
+    Args:
+        seed: Determines the episode.
+        catalogue: The objects to draw from.
+        config: The `env` part of the config.
+        redraw: Which of the seed's episodes; 0 for the one that is used if all can be seen in it.
 
     Raises:
         SdfgcnError: There are too few objects for the scenario or the catalogue is too small, or
             no layout was found.
     """
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng([seed, redraw] if redraw else seed)
     scenario = SCENARIOS[config.scenario.name](config.scenario, config.arena)
     n = config.n_objects
     if n < scenario.least_objects:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import asdict, replace
@@ -20,6 +21,10 @@ from sdfgcn.sim.renderer import Renderer
 from sdfgcn.sim.task import RearrangementTask
 from sdfgcn.task.camera import CameraModel, camera_model
 from sdfgcn.task.world import PushCommand, PushResult, Truth
+
+MAX_REDRAWS = 20  # draws of a scene after one in which an object is hidden
+
+log = logging.getLogger(__name__)
 
 
 @WORLDS.register("mujoco")
@@ -75,11 +80,28 @@ class MujocoWorld:
     def reset(self, seed: int, n_objects: int) -> None:
         """Begin the episode drawn from the seed.
 
+        A scene in which an object is hidden from the start, behind another or outside the picture,
+        is drawn anew, up to `MAX_REDRAWS` times; then the first one is taken as it is.
+
         Raises:
             SdfgcnError: The episode cannot be drawn, see `draw_episode`.
         """
         config = replace(self._config, n_objects=n_objects)
+        for redraw in range(MAX_REDRAWS + 1):
+            self.begin(draw_episode(seed, self.catalogue, config, redraw))
+            hidden = self._hidden()
+            if not hidden:
+                return
+            log.warning(
+                "The scene of seed %d is drawn anew: no pixel shows %s.", seed, " and ".join(hidden)
+            )
+        log.warning("The scene of seed %d is taken as first drawn: others hide objects too.", seed)
         self.begin(draw_episode(seed, self.catalogue, config))
+
+    def _hidden(self) -> list[str]:
+        """Names of the objects that no pixel of the picture shows."""
+        seen = self.look().true_masks().any(axis=(1, 2))
+        return [self.catalogue[i].name for i in self.task.episode.objects[~seen]]
 
     def begin(self, episode: EpisodeSpec) -> None:
         """Begin a given episode with objects of the catalogue."""

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 from tensordict import TensorDictBase
-from tqdm import tqdm
 
 from sdfgcn.files import CsvTable
 from sdfgcn.loggers import Logger
+from sdfgcn.progress_bar import progress_bar
 
 WINDOW = 100  # episodes or updates over which metrics are averaged
 
@@ -69,7 +69,7 @@ class Progress:
         self._table.keep(lambda row: int(row["pushes"]) <= self.pushes)
         self._began = time.monotonic()  # excludes the time taken to build the parts
         self._last_row = (self._began, self.pushes, updates)
-        self._bar = tqdm(total=total, initial=self.pushes, unit="push", disable=None)
+        self._bar = progress_bar(total=total, initial=self.pushes, unit="push")
 
     def close(self) -> None:
         """Close the live line."""
