@@ -24,7 +24,7 @@ _PALETTE: Final[tuple[Color, ...]] = (
     (153, 153, 153),
 )
 _DISTINCT = 40.0  # least distance of two objects' colours, of 442 from black to white
-_LIGHTNESS = 90.0  # of 255; darker ones are lightened, to be read on the viewer's black
+_BRIGHTEST = 160.0  # of 255, least of the largest component; darker ones cannot be read on black
 
 UNMATCHED_COLOR: Final[Color] = (255, 0, 255)
 EDGE_COLOR: Final[Color] = (160, 160, 160)  # between objects of one picture
@@ -64,8 +64,8 @@ def _own_color(episode: EpisodeStart, slot: int) -> Color | None:
     if truth is None or truth.objects[slot].texture is not None:
         return None
     color = 255.0 * np.asarray(truth.colors[slot][:3])
-    lightness = float(color @ [0.299, 0.587, 0.114])
-    share = max(0.0, (_LIGHTNESS - lightness) / (255.0 - lightness + 1e-9))
+    brightest = float(color.max())
+    share = max(0.0, (_BRIGHTEST - brightest) / (255.0 - brightest + 1e-9))
     red, green, blue = np.round(color + share * (255.0 - color)).astype(int).tolist()
     return red, green, blue
 

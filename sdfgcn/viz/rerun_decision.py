@@ -1,112 +1,137 @@
-"""Building blocks of a rerun recording: archetypes of what an agent thought of its pushes."""
+"""The decisions of a rerun recording: what an agent weighed and expected when it chose a push."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from sdfgcn.task.camera import CameraModel
-from sdfgcn.viz.colors import Color, value_colors
-from sdfgcn.viz.shapes import circle
+from sdfgcn.config import EnvConfig
+from sdfgcn.envs.records import Snapshot, StepRecord
+from sdfgcn.viz.colors import Color
+from sdfgcn.viz.heat_map import heat_map
+from sdfgcn.viz.rerun_arrows import SEEN_MOVE, WHITE, moves_2d, moves_3d, rings_2d, values_2d
+from sdfgcn.viz.rerun_drawing import markdown, png
+from sdfgcn.viz.rerun_scene import Log, SceneDrawing
+from sdfgcn.viz.shapes import top
+from sdfgcn.viz.words import q_table, score_table
 
-# Metres on the table: where the arrows of values begin, and the lengths of the worst and the best.
-_CLEAR, _SHORT, _LONG = 0.012, 0.008, 0.05
-SEEN_MOVE = 0.002  # metres; shorter displacements are not drawn
-WHITE: Color = (255, 255, 255)
-
-
-def values_2d(
-    centers: NDArray[np.floating],
-    values: NDArray[np.floating],
-    legal: NDArray[np.bool_],
-    chosen: tuple[int, int],
-    limits: tuple[float, float],
-    camera: CameraModel,
-    height: float,
-) -> rr.Arrows2D:
-    """An arrow for each legal push around its object: longer is better, the chosen one is white.
-
-    Args:
-        centers: [m, 2] of the objects on the table, metres.
-        values: [m, D] the value of each push.
-        legal: [m, D] which are legal.
-        chosen: Row and direction of the push.
-        limits: Values at the ends of the colour scale.
-        camera: The camera of the picture.
-        height: Of the plane with the arrows, metres.
-    """
-    rows, directions = np.nonzero(legal)
-    shown = values[rows, directions]
-    spread = float(np.ptp(shown)) if len(shown) else 0.0
-    share = (shown - shown.min(initial=np.inf)) / max(spread, 1e-9)
-    angles = 2.0 * np.pi * directions / values.shape[1]
-    ahead = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    begin = centers[rows] + _CLEAR * ahead
-    end = begin + (_SHORT + share * (_LONG - _SHORT))[:, None] * ahead
-    is_chosen = (rows == chosen[0]) & (directions == chosen[1])
-    colors = np.where(is_chosen[:, None], WHITE, value_colors(shown, *limits))
-    return _arrows(begin, end, colors, np.where(is_chosen, 0.8, 0.45), camera, height, order=25)
+# What belongs to a push and is gone at the end of the episode.
+OF_A_PUSH = (
+    "world/push",
+    "world/expected",
+    "world/moved",
+    "world/camera/values",
+    "world/camera/push",
+    "world/camera/expected/moves",
+    "world/camera/expected/ring",
+    "world/camera/moved",
+)
 
 
-def moves_2d(
-    centers: NDArray[np.floating],
-    displacement: NDArray[np.floating],
-    colors: list[Color],
-    camera: CameraModel,
-    height: float,
-) -> rr.Arrows2D:
-    """Displacements [m, 2] of objects at [m, 2] in the picture, metres, on a dark edge."""
-    ends, edge = centers + displacement, np.zeros((len(centers), 3), dtype=np.uint8)
-    return _arrows(
-        np.concatenate([centers, centers]),
-        np.concatenate([ends, ends]),
-        np.concatenate([edge, np.reshape(colors, (-1, 3)).astype(np.uint8)]),
-        np.repeat([0.9, 0.5], len(centers)),
-        camera,
-        height,
-        order=35,
-    )
+@dataclass(frozen=True)
+class Decision:
+    """A push, and what stood on the table when it was chosen: rows 0 to m - 1 may hold objects."""
+
+    step: StepRecord
+    before: Snapshot
+    slots: NDArray[np.intp]
+    names: list[str]
+    colors: list[Color]
+
+    @property
+    def centers(self) -> NDArray[np.float64]:
+        """[m, 2] detected centres, metres."""
+        return self.before.scene.center.double().numpy()[: len(self.names)]
+
+    @property
+    def values(self) -> NDArray[np.float32]:
+        """[m, D] action values."""
+        assert self.step.q_values is not None
+        return np.asarray(self.step.q_values, dtype=np.float32)[: len(self.names)]
+
+    @property
+    def legal(self) -> NDArray[np.bool_]:
+        """[m, D] the legal pushes of detected objects."""
+        seen = self.before.scene.node_mask.numpy()[: len(self.names), None]
+        return self.step.legal[: len(self.names)] & seen
 
 
-def rings_2d(
-    ends: NDArray[np.floating], radii: NDArray[np.floating], camera: CameraModel, height: float
-) -> rr.LineStrips2D:
-    """Circles on the table in the picture: standard deviations [m] about points [m, 2], metres."""
-    rings = [
-        camera.project(np.column_stack([circle(end, radius), np.full(25, height)]))
-        for end, radius in zip(ends, radii, strict=True)
-    ]
-    return rr.LineStrips2D(rings, colors=WHITE, radii=0.25, draw_order=34)
+class DecisionDrawing:
+    """Draws decisions as they come, and at the end what needs all of them."""
 
+    def __init__(self, log: Log, scene: SceneDrawing, env: EnvConfig) -> None:
+        """Draw to `log`, in the picture and the colours of a scene."""
+        self._log = log
+        self._scene = scene
+        self._camera = scene.camera
+        self._height = env.push.plane_height
+        self._valued: list[Decision] = []
 
-def moves_3d(
-    origins: NDArray[np.floating], displacement: NDArray[np.floating], colors: list[Color]
-) -> rr.Arrows3D:
-    """Displacements [m, 2] on the table of objects, above points [m, 3], metres."""
-    vectors = np.column_stack([displacement, np.zeros(len(displacement))])
-    return rr.Arrows3D(
-        origins=origins, vectors=vectors, colors=np.reshape(colors, (-1, 3)), radii=0.003
-    )
+    def log(self, decision: Decision) -> None:
+        """Log what the agent weighed and expected when it chose the push."""
+        step, names = decision.step, decision.names
+        if step.q_values is not None:
+            self._valued.append(decision)
+            self._log("q_values", rr.Tensor(decision.values, dim_names=("row", "direction")))
+            if step.push.row < len(names):
+                self._log("q_values/table", markdown(q_table(names, step)))
+        if step.explanation is None:
+            return
+        expected = step.explanation.displacement[: len(names)].astype(float)
+        self._log_moves(decision, expected, "expected", [WHITE] * len(names))
+        rows = np.flatnonzero(np.linalg.norm(expected, axis=1) >= SEEN_MOVE)
+        ends, spread = (decision.centers + expected)[rows], step.explanation.deviation[rows]
+        rings = rings_2d(ends, spread, self._camera, self._height)
+        self._log("world/camera/expected/ring", rings)
+        if step.q_values is not None:
+            self._log("expected/scores", markdown(score_table(names, step)))
 
+    def log_moved(self, decision: Decision, moved: NDArray[np.float64]) -> None:
+        """Log how far the objects moved, [m, 2] metres."""
+        self._log_moves(decision, moved, "moved", decision.colors)
 
-def _arrows(
-    begin: NDArray[np.floating],
-    end: NDArray[np.floating],
-    colors: NDArray,
-    radii: NDArray[np.floating],
-    camera: CameraModel,
-    height: float,
-    order: float,
-) -> rr.Arrows2D:
-    """Arrows on the table, [m, 2] metres, in the picture."""
-    heights = np.full(len(begin), height)
-    origins = camera.project(np.column_stack([begin, heights]))
-    tips = camera.project(np.column_stack([end, heights]))
-    return rr.Arrows2D(
-        origins=origins,
-        vectors=tips - origins,
-        colors=colors.astype(np.uint8),
-        radii=radii,
-        draw_order=order,
-    )
+    def log_values(self, at: Callable[[int], None]) -> None:
+        """Log the values of all pushes on one scale, which only the whole episode determines.
+
+        `at` sets the push to log at.
+        """
+        shown = [decision.values[decision.legal] for decision in self._valued]
+        if not any(map(len, shown)):
+            return
+        every = np.concatenate(shown)
+        limits = float(every.min()), float(every.max())
+        camera = self._camera
+        for decision in self._valued:
+            values, legal, push = decision.values, decision.legal, decision.step.push
+            chosen = push.row, push.direction
+            names, colors = decision.names, decision.colors
+            at(decision.step.index)
+            arrows = values_2d(
+                decision.centers, values, legal, chosen, limits, camera, self._height
+            )
+            self._log("world/camera/values", arrows)
+            drawn = heat_map(values, legal, chosen, names, colors, limits)
+            self._log("q_values/heat_map", png(drawn))
+
+    def _log_moves(
+        self, decision: Decision, moved: NDArray, name: str, colors: list[Color]
+    ) -> None:
+        """Log displacements [m, 2] as arrows in the picture and above the objects."""
+        rows = np.flatnonzero(np.nan_to_num(np.linalg.norm(moved, axis=1)) >= SEEN_MOVE)
+        camera, centers = self._camera, decision.centers[rows]
+        heights = [self._top(decision.before, int(decision.slots[row])) for row in rows]
+        colors = [colors[row] for row in rows]
+        origins = np.column_stack([centers, heights])
+        self._log(f"world/{name}", moves_3d(origins, moved[rows], colors))
+        flat = moves_2d(centers, moved[rows], colors, camera, self._height)
+        self._log(f"world/camera/{name}{'/moves' * (name == 'expected')}", flat)
+
+    def _top(self, moment: Snapshot, slot: int) -> float:
+        """Height at which an arrow clears the object, metres."""
+        if moment.poses is None or slot < 0:
+            return self._height
+        return top(self._scene.objects[slot], moment.poses[slot]) + 0.01

@@ -29,6 +29,11 @@ def png(pixels: NDArray[np.uint8]) -> rr.EncodedImage:
     return rr.EncodedImage(contents=buffer.getvalue(), media_type="image/png")
 
 
+def markdown(text: str) -> rr.TextDocument:
+    """A text in Markdown."""
+    return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+
+
 def sdf_image(sdf: NDArray[np.float32]) -> rr.EncodedImage:
     """A signed distance field, [H, W] pixels, in colours; see `sdf_colors`."""
     return png(sdf_colors(sdf))
@@ -42,7 +47,7 @@ def arrow_2d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows2D:
         colors=[(0, 0, 0), STATUS_COLORS[status]],
         radii=[1.6, 1.0],
         labels=["", status.replace("_", " ")],
-        show_labels=status != "done",  # the colour suffices, and a label would cover objects
+        show_labels=False,  # the colour suffices, and a label would cover objects
         draw_order=30,
     )
 

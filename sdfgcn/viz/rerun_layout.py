@@ -43,13 +43,13 @@ def blueprint(
 
 def _pictures() -> rrb.Vertical:
     """The decision large; what it was based on below."""
-    seen = ("picture", "masks", "graph", "goal", "names")
+    seen = ("picture", "masks", "graph", "goal")
     chosen = ("picture", "values", "push", "expected/**", "moved", "names")
     return rrb.Vertical(
         _picture("Push and values of all pushes", "world/camera", chosen),
         rrb.Horizontal(
             _picture("Seen, and goals", "world/camera", seen),
-            _picture("Goal", "goal", ("picture", "masks", "names")),
+            _picture("Goal", "goal", ("picture", "masks")),
         ),
         row_shares=[1.6, 1],
     )
@@ -105,7 +105,7 @@ def _values(n_objects: int, n_directions: int, with_scores: bool) -> rrb.Tabs:
     heat_map = rrb.Spatial2DView(
         origin="q_values/heat_map",
         name="Values",
-        visual_bounds=rrb.VisualBounds2D(x_range=(0, width), y_range=(0, height)),
+        visual_bounds=rrb.VisualBounds2D(x_range=(0, width + 4), y_range=(0, height)),
     )
     table = rrb.TextDocumentView(origin="q_values/table", name="Table")
     scores = rrb.TextDocumentView(origin="expected/scores", name="Best pushes")
@@ -124,13 +124,15 @@ def _words() -> rrb.Tabs:
 def _world_view(arena: ArenaConfig) -> rrb.Spatial3DView:
     """The 3D view from the camera's side, so that left and right are as in the pictures."""
     (x_low, x_high), (y_low, y_high) = arena.reach_x, arena.reach_y
-    centre = np.array([(x_low + x_high) / 2, (y_low + y_high) / 2, 0.0])
-    # From the far left, as the arm stands at the near side.
-    eye = centre + (y_high - y_low) * np.array([0.2, -1.0, 0.8])
+    centre = np.array([(x_low + x_high) / 2, (y_low + y_high) / 2, 0.05])
+    # From the right, as the arm stands at the near side.
+    eye = centre + (y_high - y_low) * np.array([1.1, -1.0, 1.0])
     return rrb.Spatial3DView(
         origin="world",
         contents=["+ $origin/**", "- $origin/camera/**", "+ $origin/camera"],
         name="World",
         line_grid=False,
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=centre),
+        eye_controls=rrb.EyeControls3D(
+            position=eye, look_target=centre
+        ),
     )

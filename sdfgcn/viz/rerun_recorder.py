@@ -39,7 +39,6 @@ Only the files `rerun_*.py` import rerun.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -49,66 +48,18 @@ from numpy.typing import NDArray
 from sdfgcn.config import EnvConfig
 from sdfgcn.envs.records import EpisodeStart, Snapshot, StepRecord
 from sdfgcn.errors import SdfgcnError
+from sdfgcn.task.world import Motion
 from sdfgcn.viz import Recorder
-from sdfgcn.viz.colors import STATUS_COLORS, UNMATCHED_COLOR, Color
-from sdfgcn.viz.heat_map import heat_map
-from sdfgcn.viz.rerun_decision import SEEN_MOVE, WHITE, moves_2d, moves_3d, rings_2d, values_2d
-from sdfgcn.viz.rerun_drawing import arrow_2d, arrow_3d, edges_2d, png, transform
+from sdfgcn.viz.colors import STATUS_COLORS
+from sdfgcn.viz.rerun_drawing import arrow_2d, arrow_3d, edges_2d, markdown, transform
 from sdfgcn.viz.rerun_layout import MOTION, PUSHES, blueprint
 from sdfgcn.viz.rerun_scene import SceneDrawing
-from sdfgcn.viz.shapes import displacements, goal_distances, moments_to_draw, row_slots, top
-from sdfgcn.viz.words import (
-    outcome,
-    push_sentence,
-    push_words,
-    q_table,
-    row_name,
-    score_table,
-    summary,
-)
+from sdfgcn.viz.rerun_decision import OF_A_PUSH, Decision, DecisionDrawing
+from sdfgcn.viz.shapes import displacements, goal_distances, moments_to_draw, row_slots
+from sdfgcn.viz.words import outcome, push_sentence, push_words, row_name, summary
 
 # One batch per entity instead of one per push has far less overhead per row.
 _BATCHES = rr.ChunkBatcherConfig(flush_tick=3600.0, flush_num_bytes=4 * 2**20)
-
-# What belongs to a push and is gone at the end of the episode.
-_OF_A_PUSH = (
-    "world/push",
-    "world/expected",
-    "world/moved",
-    "world/camera/values",
-    "world/camera/push",
-    "world/camera/expected/moves",
-    "world/camera/expected/ring",
-    "world/camera/moved",
-)
-
-
-@dataclass(frozen=True)
-class _Decision:
-    """A push, and what stood on the table when it was chosen: rows 0 to m - 1 may hold objects."""
-
-    step: StepRecord
-    before: Snapshot
-    slots: NDArray[np.intp]
-    names: list[str]
-    colors: list[Color]
-
-    @property
-    def centers(self) -> NDArray[np.float64]:
-        """[m, 2] detected centres, metres."""
-        return self.before.scene.center.double().numpy()[: len(self.names)]
-
-    @property
-    def values(self) -> NDArray[np.float32]:
-        """[m, D] action values."""
-        assert self.step.q_values is not None
-        return np.asarray(self.step.q_values, dtype=np.float32)[: len(self.names)]
-
-    @property
-    def legal(self) -> NDArray[np.bool_]:
-        """[m, D] the legal pushes of detected objects."""
-        seen = self.before.scene.node_mask.numpy()[: len(self.names), None]
-        return self.step.legal[: len(self.names)] & seen
 
 
 class RerunRecorder(Recorder):
@@ -127,7 +78,6 @@ class RerunRecorder(Recorder):
         self._path = Path(path)
         self._partial = self._path.with_name(self._path.name + ".partial")
         self._env = env
-        self._height = env.push.plane_height
         self._stream: rr.RecordingStream | None = None
 
     def start(self, episode: EpisodeStart) -> None:
@@ -140,9 +90,9 @@ class RerunRecorder(Recorder):
         self._episode = episode
         self._return = 0.0
         self._last: StepRecord | None = None
-        self._valued: list[_Decision] = []
         self._stream = self._open()
         self._scene = SceneDrawing(self._log, episode, self._env)
+        self._decisions = DecisionDrawing(self._log, self._scene, self._env)
         self._scene.log_constants()
         self._at(1)
         self._log_now(episode.start)
@@ -156,7 +106,7 @@ class RerunRecorder(Recorder):
         decision = self._decision(step)
         self._at(step.index)
         self._log_push(decision)
-        self._log_thoughts(decision)
+        self._decisions.log(decision)
         self._log_outcome(step)
         self._log_motion(decision)
         self._at(step.index + 1)
@@ -171,10 +121,13 @@ class RerunRecorder(Recorder):
         if self._last is None:
             self._send_blueprint(None)
         else:
-            self._log_values()
+            self._decisions.log_values(self._at)
             self._at(self._last.index + 1)
-            for path in _OF_A_PUSH:
+            for path in OF_A_PUSH:
                 self._log(path, rr.Clear(recursive=False))
+            for timeline in (PUSHES, MOTION):
+                self._log_robot_at_home(timeline, self._last.index + 1)
+            self._at(self._last.index + 1)
         self._log_summary()
         self._stream.flush()
         self._stream.disconnect()
@@ -239,19 +192,17 @@ class RerunRecorder(Recorder):
     # ------------------------------------------------------------------ scenes and pushes
 
     def _log_now(self, moment: Snapshot) -> None:
-        """Log what stands on the table, with the robot at home."""
+        """Log what stands on the table."""
         self._now = moment
         self._slots = row_slots(moment, self._scene.radii, self._episode.camera)
         self._scene.log_moment(moment, self._slots)
         self._log("world/camera/graph", edges_2d(moment, self._episode.goal))
-        if self._episode.robot is not None:
-            self._log_links(self._episode.robot.home)
 
-    def _decision(self, step: StepRecord) -> _Decision:
+    def _decision(self, step: StepRecord) -> Decision:
         """The push with the rows on which its choice was based; rows beyond them are padding."""
         seen = np.flatnonzero(self._now.scene.node_mask.numpy())
         slots = self._slots[: int(max(seen, default=-1)) + 1]
-        return _Decision(
+        return Decision(
             step=step,
             before=self._now,
             slots=self._slots,
@@ -259,7 +210,7 @@ class RerunRecorder(Recorder):
             colors=[self._scene.color(int(slot)) for slot in slots],
         )
 
-    def _log_push(self, decision: _Decision) -> None:
+    def _log_push(self, decision: Decision) -> None:
         step, names = decision.step, decision.names
         result = step.push.result
         status, start, end = result.status, result.start, result.end
@@ -267,8 +218,8 @@ class RerunRecorder(Recorder):
             ahead = np.array([np.cos(step.push.angle), np.sin(step.push.angle), 0.0])
             end = start + self._env.push.length * ahead
         if np.isfinite(start).all():
-            pixels = self._episode.camera.project(np.stack([start, end]))
-            self._log("world/camera/push", arrow_2d(*pixels, status))
+            tail, tip = self._episode.camera.project(np.stack([start, end]))
+            self._log("world/camera/push", arrow_2d(tail, tip, status))
             self._log("world/push", arrow_3d(start, end, status))
         else:  # the row held no object
             self._log("world/camera/push", rr.Clear(recursive=False))
@@ -278,93 +229,49 @@ class RerunRecorder(Recorder):
         text = push_sentence(names[row] if row < len(names) else f"row {row}", step)
         self._log("log", rr.TextLog(text, level=level, color=STATUS_COLORS[status]))
 
-    def _log_motion(self, decision: _Decision) -> None:
+    def _log_motion(self, decision: Decision) -> None:
         """Log the moments of the push and, last, how far the objects moved."""
         step = decision.step
         motion, k = step.push.result.motion, step.index
         moved = displacements(decision.before, step.after, decision.slots)
         before = goal_distances(decision.before, self._episode.goal)
         words = push_words(decision.names, step, moved, before)
-        self._log("words", rr.TextDocument(words, media_type=rr.MediaType.MARKDOWN))
-        if motion is not None and self._episode.robot is not None and len(motion.phases):
-            begin = motion.phases.index("push") if "push" in motion.phases else -1
-            self._at_only(PUSHES, k)
-            self._log_links(motion.links[begin])
-            kept = moments_to_draw(motion)
-            for place, moment in enumerate(kept, start=1):
-                self._at_only(MOTION, k + 0.8 * place / len(kept))
-                self._log_links(motion.links[moment])
-                self._scene.log_poses(motion.objects[moment])
+        self._log("words", markdown(words))
+        if motion is not None:
+            self._log_robot(motion, k)
         for timeline, time in ((PUSHES, k), (MOTION, k + 0.9)):
             self._at_only(timeline, time)
-            self._log_moves(decision, moved[: len(decision.names)], "moved", decision.colors)
+            self._decisions.log_moved(decision, moved[: len(decision.names)])
         self._at_only(MOTION, k + 1.0)
         for path in ("world/moved", "world/camera/moved"):
             self._log(path, rr.Clear(recursive=False))
 
+    def _log_robot(self, motion: Motion, k: int) -> None:
+        """Log the robot in push k, and the objects that it moves.
+
+        A pose is logged once at each time: of two at one time, the viewer may show either.
+        """
+        self._log_robot_at_home(MOTION, k)
+        if len(motion.phases):
+            begin = motion.phases.index("push") if "push" in motion.phases else -1
+            self._at_only(PUSHES, k)
+            self._log_links(motion.links[begin])
+        else:
+            self._log_robot_at_home(PUSHES, k)
+        kept = moments_to_draw(motion)
+        for place, moment in enumerate(kept, start=1):
+            self._at_only(MOTION, k + 0.8 * place / len(kept))
+            self._log_links(motion.links[moment])
+            self._scene.log_poses(motion.objects[moment])
+
+    def _log_robot_at_home(self, timeline: str, time: int) -> None:
+        if self._episode.robot is not None:
+            self._at_only(timeline, time)
+            self._log_links(self._episode.robot.home)
+
     def _log_links(self, poses: NDArray[np.float64]) -> None:
-        assert self._episode.robot is not None
-        for part, pose in zip(self._episode.robot.links, poses, strict=True):
+        for part, pose in zip(self._scene.links, poses, strict=True):
             self._log(f"world/robot/{part.name}", transform(pose))
-
-    def _log_moves(
-        self, decision: _Decision, moved: NDArray, name: str, colors: list[Color]
-    ) -> None:
-        """Log displacements [m, 2] as arrows in the picture and above the objects."""
-        rows = np.flatnonzero(np.nan_to_num(np.linalg.norm(moved, axis=1)) >= SEEN_MOVE)
-        camera, centers = self._episode.camera, decision.centers[rows]
-        heights = [self._top(decision.before, int(decision.slots[row])) for row in rows]
-        colors = [colors[row] for row in rows]
-        origins = np.column_stack([centers, heights])
-        self._log(f"world/{name}", moves_3d(origins, moved[rows], colors))
-        flat = moves_2d(centers, moved[rows], colors, camera, self._height)
-        self._log(f"world/camera/{name}{'/moves' * (name == 'expected')}", flat)
-
-    def _top(self, moment: Snapshot, slot: int) -> float:
-        """Height at which an arrow clears the object, metres."""
-        if moment.poses is None or slot < 0:
-            return self._height
-        return top(self._scene.objects[slot], moment.poses[slot]) + 0.01
-
-    # ------------------------------------------------------------------ thoughts
-
-    def _log_thoughts(self, decision: _Decision) -> None:
-        step, names = decision.step, decision.names
-        if step.q_values is not None:
-            self._valued.append(decision)
-            self._log("q_values", rr.Tensor(decision.values, dim_names=("row", "direction")))
-            if step.push.row < len(names):
-                self._log("q_values/table", _markdown(q_table(names, step)))
-        if step.explanation is None:
-            return
-        expected = step.explanation.displacement[: len(names)].astype(float)
-        self._log_moves(decision, expected, "expected", [WHITE] * len(names))
-        rows = np.flatnonzero(np.linalg.norm(expected, axis=1) >= SEEN_MOVE)
-        ends, spread = (decision.centers + expected)[rows], step.explanation.deviation[rows]
-        rings = rings_2d(ends, spread, self._episode.camera, self._height)
-        self._log("world/camera/expected/ring", rings)
-        if step.q_values is not None:
-            self._log("expected/scores", _markdown(score_table(names, step)))
-
-    def _log_values(self) -> None:
-        """Log the values of all pushes on one scale, which only the whole episode determines."""
-        shown = [decision.values[decision.legal] for decision in self._valued]
-        if not any(map(len, shown)):
-            return
-        every = np.concatenate(shown)
-        limits = float(every.min()), float(every.max())
-        camera = self._episode.camera
-        for decision in self._valued:
-            values, legal, push = decision.values, decision.legal, decision.step.push
-            chosen = push.row, push.direction
-            names, colors = decision.names, decision.colors
-            self._at(decision.step.index)
-            arrows = values_2d(
-                decision.centers, values, legal, chosen, limits, camera, self._height
-            )
-            self._log("world/camera/values", arrows)
-            drawn = heat_map(values, legal, chosen, names, colors, limits)
-            self._log("q_values/heat_map", png(drawn))
 
     # ------------------------------------------------------------------ figures and words
 
@@ -386,10 +293,10 @@ class RerunRecorder(Recorder):
     def _log_summary(self) -> None:
         episode, last = self._episode, self._last
         ended, pushes = outcome(last), last.index if last else 0
-        self._log("summary", _markdown(summary(episode, last, self._return)), static=True)
+        self._log("summary", markdown(summary(episode, last, self._return)), static=True)
         end = f"{ended} after {pushes} pushes".capitalize() + "."
         self._log("log", rr.TextLog(end))
-        self._log("words", _markdown(f"### {end}"))
+        self._log("words", markdown(f"### {end}"))
         assert self._stream is not None
         properties = rr.AnyValues(
             seed=episode.seed,
@@ -399,7 +306,3 @@ class RerunRecorder(Recorder):
             undiscounted_return=self._return,
         )
         self._stream.send_property("episode", properties)
-
-
-def _markdown(text: str) -> rr.TextDocument:
-    return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)

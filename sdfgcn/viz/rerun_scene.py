@@ -40,7 +40,9 @@ class SceneDrawing:
     """Draws an episode's constants once, and its moments as they come.
 
     Attributes:
+        camera: The camera of the pictures.
         objects: The objects by slot; empty without truth.
+        links: The robot's links; empty if the world does not know them.
         radii: [n] largest distance of any vertex from the object's origin, metres; 0 without truth.
     """
 
@@ -49,7 +51,9 @@ class SceneDrawing:
         self._log = log
         self._episode = episode
         self._env = env
+        self.camera = episode.camera
         self.objects = () if episode.truth is None else episode.truth.objects
+        self.links = () if episode.robot is None else episode.robot.links
         self.radii = np.zeros(episode.n_objects)
         for slot, model in enumerate(self.objects):
             self.radii[slot] = np.linalg.norm(model.vertices, axis=1).max()
@@ -91,13 +95,12 @@ class SceneDrawing:
         self._log("world/bounds/range", allowed, static=True)
 
     def _log_camera(self) -> None:
-        camera = self._episode.camera
+        camera = self.camera
         pose = rr.Transform3D(translation=camera.position, mat3x3=camera.rotation)
         self._log("world/camera", pose, pinhole(camera), static=True)
 
     def _log_robot(self) -> None:
-        robot = self._episode.robot
-        for part in () if robot is None else robot.links:
+        for part in self.links:
             self._log(f"world/robot/{part.name}", link(part), static=True)
 
     def _log_objects(self) -> None:
@@ -113,7 +116,7 @@ class SceneDrawing:
 
     def _log_goal(self) -> None:
         goal = self._episode.goal
-        slots = row_slots(goal, self.radii, self._episode.camera)
+        slots = row_slots(goal, self.radii, self.camera)
         self._log_picture("goal", goal, slots, static=True)
         strips, colors = [], []
         for row in np.flatnonzero(goal.scene.node_mask.numpy()):
@@ -171,7 +174,7 @@ class SceneDrawing:
         image = rr.SegmentationImage(labels, opacity=MASK_OPACITY, draw_order=10)
         self._log(f"{path}/masks", image, static=static)
         names = rr.Points2D(
-            [mask_centre(masks[row]) for row in rows],
+            [_below(masks[row]) for row in rows],  # a label is drawn below its point
             labels=[f"#{slots[row]}" if slots[row] >= 0 else "?" for row in rows],
             colors=[self.color(int(slots[row])) for row in rows],
             radii=0.0,
@@ -184,6 +187,11 @@ class SceneDrawing:
         self, path: str, sdf: NDArray[np.float32], slot: int, static: bool = False
     ) -> None:
         contour = zero_contour(sdf)
-        lines = outlines_2d(contour, [self._colors[slot]] * len(contour), 0.6)
+        lines = outlines_2d(contour, [self._colors[slot]] * len(contour), 0.4)
         self._log(path, sdf_image(sdf), static=static)
         self._log(f"{path}/contour", lines, static=static)
+
+
+def _below(mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """(u, v) in the middle of a mask's lower edge, pixels."""
+    return np.array([mask_centre(mask)[0], np.flatnonzero(mask.any(axis=1))[-1] + 1.0])

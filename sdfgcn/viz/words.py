@@ -170,5 +170,5 @@ def _push(name: str, step: StepRecord) -> str:
 def _rank(value: float, legal: np.ndarray) -> str:
     better = int((legal > value).sum())
     if better == 0:
-        return f"the highest Q-value of {len(legal)} legal pushes"
-    return f"number {better + 1} by Q-value of {len(legal)} legal pushes"
+        return f"the highest value of {len(legal)} legal pushes"
+    return f"number {better + 1} by value of {len(legal)} legal pushes"
