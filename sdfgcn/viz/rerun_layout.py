@@ -11,7 +11,6 @@ from sdfgcn.viz.heat_map import CELL, NAMES
 PUSHES = "push"
 MOTION = "motion"
 FEW = 3  # objects up to which all SDFs are seen at once
-LEGEND = 4  # objects up to which the plot of distances has room for a legend
 
 
 def blueprint(
@@ -31,7 +30,7 @@ def blueprint(
     )
     values = [_values(n_objects, n_directions, with_scores)] if with_values else []
     bottom = rrb.Horizontal(
-        _plots(n_objects), *values, _words(), column_shares=[1.0, *([1.5] * with_values), 1.1]
+        _plots(), *values, _words(), column_shares=[1.0, *([1.5] * with_values), 1.1]
     )
     return rrb.Blueprint(
         rrb.Vertical(top, bottom, row_shares=[2.4, 1]),
@@ -82,19 +81,20 @@ def _sdf(which: str, slot: int) -> rrb.Spatial2DView:
     return rrb.Spatial2DView(origin=f"sdf/{which}/{slot}", name=f"SDF #{slot} {which}")
 
 
-def _plots(n_objects: int) -> rrb.Tabs:
+def _plots() -> rrb.Tabs:
+    """Legends would cover lines; distances have the objects' colours, and words name the terms."""
     none, corner = rrb.PlotLegend(visible=False), rrb.PlotLegend("LeftTop")
     return rrb.Tabs(
         rrb.TimeSeriesView(
             origin="distance",
             name="Distance to goal (m)",
-            plot_legend=none,  # the lines have the objects' colours
+            plot_legend=none,
         ),
         rrb.TimeSeriesView(
             origin="reward", contents="+ reward/total", name="Reward", plot_legend=none
         ),
         rrb.TimeSeriesView(
-            origin="reward", contents="+ reward/terms/**", name="Its terms", plot_legend=corner
+            origin="reward", contents="+ reward/terms/**", name="Its terms", plot_legend=none
         ),
         rrb.TimeSeriesView(origin="outcome", name="Return", plot_legend=corner),
     )
@@ -122,17 +122,15 @@ def _words() -> rrb.Tabs:
 
 
 def _world_view(arena: ArenaConfig) -> rrb.Spatial3DView:
-    """The 3D view from the camera's side, so that left and right are as in the pictures."""
+    """The 3D view from the camera's side, so that left and right are nearly as in the pictures."""
     (x_low, x_high), (y_low, y_high) = arena.reach_x, arena.reach_y
     centre = np.array([(x_low + x_high) / 2, (y_low + y_high) / 2, 0.05])
     # From the right, as the arm stands at the near side.
-    eye = centre + (y_high - y_low) * np.array([1.1, -1.0, 1.0])
+    eye = centre + (y_high - y_low) * np.array([0.95, -0.85, 0.85])
     return rrb.Spatial3DView(
         origin="world",
         contents=["+ $origin/**", "- $origin/camera/**", "+ $origin/camera"],
         name="World",
         line_grid=False,
-        eye_controls=rrb.EyeControls3D(
-            position=eye, look_target=centre
-        ),
+        eye_controls=rrb.EyeControls3D(position=eye, look_target=centre),
     )

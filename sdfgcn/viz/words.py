@@ -28,7 +28,7 @@ def push_sentence(name: str, step: StepRecord) -> str:
 
 
 def push_words(names: list[str], step: StepRecord, moved: NDArray, before: NDArray) -> str:
-    """What the agent thought and did, and what came of it, as Markdown.
+    """What the agent expected and did, and what came of it, as Markdown.
 
     Args:
         names: [m] of the rows before the push.
@@ -50,7 +50,7 @@ def push_words(names: list[str], step: StepRecord, moved: NDArray, before: NDArr
     lines.append(f"**Moved**: {', '.join(actual) or 'nothing'}.")
     ways = [
         f"#{slot} {1000 * old:.0f} → {1000 * new:.0f}"
-        for slot, (old, new) in enumerate(zip(before, step.distances, strict=True))
+        for slot, (old, new) in enumerate(zip(before, step.distances, strict=False))
         if np.isfinite(old) and np.isfinite(new)
     ]
     lines.append(f"**To the goal (mm)**: {', '.join(ways) or 'unknown'}.")
