@@ -2,14 +2,15 @@
 
 import numpy as np
 
-from sdfgcn.config import ArenaConfig, EnvConfig
+from sdfgcn.config import ArenaConfig, EnvConfig, PushConfig
 from sdfgcn.envs.records import EpisodeStart, Push, Snapshot, StepRecord
 from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.perception.sdf import SdfTransform
 from sdfgcn.registry import RECORDERS
 from sdfgcn.task.camera import CameraModel
 from sdfgcn.task.scene import Detections, Scene
-from sdfgcn.task.world import PushResult, Truth
+from sdfgcn.task.explanation import Explanation
+from sdfgcn.task.world import Motion, PushResult, RobotLink, RobotShape, Truth
 
 SIZE = 96
 ROWS = 4  # of every scene; the last is always empty
@@ -20,6 +21,7 @@ GOAL = [(-0.25, 0.0), (0.0, 0.25), (0.5, 0.5)]
 ORDER = [2, 0, 1]  # slot of each row: rows come in any order
 ENV = EnvConfig(
     success_threshold=0.05,
+    push=PushConfig(directions=8, length=0.5, plane_height=0.0),
     arena=ArenaConfig(
         spawn_x=[-0.6, 0.6],
         spawn_y=[-0.6, 0.6],
@@ -70,6 +72,40 @@ def moment(positions, order=ORDER, value=100, known=True, matched=None) -> Snaps
     return Snapshot(shown, rows, pixels, poses if known else None)
 
 
+def robot() -> RobotShape:
+    """A base that stays and a tool that hangs 1 m above the middle of the table."""
+    links = tuple(
+        RobotLink(name, model.vertices, model.faces, np.full((8, 3), 120, np.uint8))
+        for name, model in (("base", cube("base")), ("tool", cube("tool")))
+    )
+    return RobotShape(links, poses_at([0, -1, 0], [0, 0, 1]))
+
+
+def poses_at(*places) -> np.ndarray:
+    """[n, 7] poses without rotation."""
+    return np.hstack([np.array(places, float), np.tile([1.0, 0, 0, 0], (len(places), 1))])
+
+
+def motion() -> Motion:
+    """The tool comes down at (-0.75, 0) and pushes slot 0 to its goal."""
+    tool = [(-0.75, 0, 0.5), (-0.75, 0, 0), (-0.5, 0, 0), (-0.4, 0, 0.5)]
+    moved = [-0.5, -0.5, -0.25, -0.25]
+    return Motion(
+        phases=("descent", "push", "push", "lift"),
+        links=np.array([poses_at([0, -1, 0], place) for place in tool]),
+        objects=np.array([moment([(x, 0.0), *START[1:]]).poses for x in moved]),
+    )
+
+
+def explanation() -> Explanation:
+    """Row 1 is expected to move 0.5 m up in the picture, give or take 0.125 m."""
+    displacement = np.zeros((ROWS, 2), np.float32)
+    displacement[1] = [0.0, 0.5]
+    risk = np.full((ROWS, 8), np.nan, np.float32)
+    risk[:2] = 0.25
+    return Explanation(displacement, np.full(ROWS, 0.125, np.float32), {"risk": risk})
+
+
 def episode_start(seed: int = 7, known: bool = True) -> EpisodeStart:
     goal = moment(GOAL, value=50, known=known)
     truth = Truth(
@@ -84,14 +120,16 @@ def episode_start(seed: int = 7, known: bool = True) -> EpisodeStart:
         start=moment(START, known=known),
         goal=goal,
         camera=CAMERA,
+        robot=robot() if known else None,
     )
 
 
 def episode_steps(known: bool = True) -> list[StepRecord]:
     """Push 1 moves slot 0 to its goal; push 2 is blocked."""
     after = moment([GOAL[0], *START[1:]], value=101, known=known)
-    first = PushResult("done", np.array([-0.5, 0, 0]), np.array([0.25, 0.25, 0]))
-    second = PushResult("blocked", np.array([0.5, 0.75, 0]), np.array([0.5, 0.25, 0]))
+    stop, course = np.array([0.5, 0.75, 0]), motion() if known else None
+    first = PushResult("done", np.array([-0.5, 0, 0]), np.array([0.25, 0.25, 0]), course)
+    second = PushResult("blocked", stop, stop)
     q_values = np.arange(32, dtype=np.float32).reshape(ROWS, 8)
     common = {"out_of_range": False, "q_values": q_values, "after": after, "success": False}
     common |= {"legal": q_values % 8 != 2, "distances": np.array([0.0, 0.25, 1.0])}
@@ -103,6 +141,7 @@ def episode_steps(known: bool = True) -> list[StepRecord]:
             reward=7.48,
             terminated=False,
             truncated=False,
+            explanation=explanation(),
             **common,
         ),
         StepRecord(

@@ -215,6 +215,31 @@ def test_the_planner_shuns_the_border():
     assert float(values[0]) == pytest.approx(1.0 - 10.0, abs=1e-3)
 
 
+@pytest.mark.parametrize("depth", [1, 2])
+def test_the_explanation_adds_up(depth):
+    """What it says it weighed makes the values that it acts on."""
+    scene = discs((-0.05, 0.05, 0.03), (0.10, 0.20, 0.03), rows=3)
+    goal = discs((0.10, 0.05, 0.03), (-0.10, 0.20, 0.03), rows=3)
+    matched = scene.node_mask
+    net = straight(depth)
+    row, direction = 1, 4
+    action = torch.tensor(row * D + direction)
+    td = TensorDict(scene=scene[0], goal=goal[0], matched=matched[0], action=action)
+    told = net.explain(td)
+    scores = told.scores
+    value = scores["pushes saved"] - PLANNER.risk * scores["out of range"]
+    if depth == 2:
+        later = scores["saved by the next"]
+        assert np.isfinite(later).sum() == 16  # the planner's width
+        assert not np.isfinite(later[2]).any()  # no object, no push
+        value = value + np.nan_to_num(later)
+    expected = net.action_values(scene, goal, matched)[0].numpy()
+    np.testing.assert_allclose(value[:2], expected[:2], atol=1e-4)
+    # This network says that a push moves its object by 5 cm and nothing else.
+    np.testing.assert_allclose(told.displacement, [[0, 0], [-0.05, 0], [0, 0]], atol=1e-6)
+    np.testing.assert_allclose(told.deviation, 1e-4)
+
+
 # ------------------------------------------------------------------ learning
 
 

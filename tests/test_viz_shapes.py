@@ -39,7 +39,7 @@ def test_without_truth_there_are_pictures_and_no_meshes(unknown):
     drawn = unknown.entities()
     assert not any(entity.startswith(("/world/objects", "/world/goal")) for entity in drawn)
     assert {"/world/camera/picture", "/goal/picture", "/world/push", "/log"} <= drawn
-    labels = unknown["/world/camera/masks", "SegmentationImage:buffer"][0][0]
+    labels = unknown["/world/camera/masks", "SegmentationImage:buffer"][1][0]
     labels = np.array(labels, dtype=np.uint8).reshape(SIZE, SIZE)
     assert [labels[48, 24], labels[24, 48], labels[72, 72]] == [2, 3, 1]  # by row, from 1
     assert unknown["/distance/0", "Scalars:scalars"] == {1: [1.0], 2: [1.0]}
@@ -48,7 +48,7 @@ def test_without_truth_there_are_pictures_and_no_meshes(unknown):
 
 def test_without_truth_words_go_by_row(unknown):
     log = {push: cell[0] for push, cell in unknown["/log", "TextLog:text"].items()}
-    assert log[1].startswith("#1 towards 45 degrees: done")
+    assert log[1].startswith("Done: #1 towards 45 degrees")
     summary = unknown["/summary", "TextDocument:text"][None][0]
     assert "Errors: between the centres that were seen." in summary
     assert "| #0 |  | 1000 |" in summary
@@ -61,7 +61,7 @@ def test_without_truth_more_rows_than_objects(tmp_path):
     start = replace(episode_start(known=False), start=moment(positions, [2, 0, 1, 3], known=False))
     record(tmp_path / "a.rrd", start, steps=episode_steps(known=False))
     recording = Recording(tmp_path / "a.rrd")
-    labels = recording["/world/camera/masks", "SegmentationImage:buffer"][0][0]
+    labels = recording["/world/camera/masks", "SegmentationImage:buffer"][1][0]
     assert np.array(labels, dtype=np.uint8).reshape(SIZE, SIZE)[72, 24] == 4  # "unmatched"
     assert not any(entity.startswith("/sdf/scene/3") for entity in recording.entities())
     text = recording["/q_values/table", "TextDocument:text"][1][0]

@@ -141,9 +141,9 @@ def test_an_episode_of_the_rule_based_agent(env, config, tmp_path):
     entities = seen.entities()
     assert not any(entity.startswith(("/world/objects", "/world/goal/")) for entity in entities)
     assert {"/sdf/scene/0", "/sdf/goal/1", "/goal/picture"} <= entities
-    assert seen.pushes("/world/camera/picture") == [0, 1, 2]
+    assert seen.pushes("/world/camera/picture") == [1, 2, 3]
     distances = [cell[0] for _, cell in sorted(seen["/distance/0", "Scalars:scalars"].items())]
-    assert distances == pytest.approx([0.06, 0.0], abs=1e-6)
+    assert distances == pytest.approx([0.12, 0.06, 0.0], abs=1e-6)
     rewards = [cell[0] for _, cell in sorted(seen["/reward/total", "Scalars:scalars"].items())]
     assert rewards == pytest.approx([1.78, 11.78], abs=1e-5)
     np.testing.assert_allclose(

@@ -12,6 +12,8 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 
+from sdfgcn.task.explanation import Explanation
+
 # Called with the observation of one env (no batch dimension); returns float32 [N * D], a preference
 # for each push in the order of `PushSpace`'s actions. Only the ranking of legal pushes matters.
 Agent = Callable[[TensorDictBase], Tensor]
@@ -28,6 +30,11 @@ class QAgent:
         """The action values; see `Agent`."""
         with torch.no_grad():
             return self._network(td.copy())["action_value"].float()
+
+    def explain(self, td: TensorDictBase) -> Explanation | None:
+        """What the network expects of `td["action"]`; None for one that predicts values alone."""
+        explain = getattr(self._network, "explain", None)
+        return None if explain is None else explain(td)
 
 
 class EpsilonGreedy:
@@ -91,6 +98,14 @@ class EpsilonGreedy:
         self._tried.append((centers, action))
         td["action"] = torch.tensor(action, dtype=torch.int64)
         return td
+
+    def explain(self, td: TensorDictBase) -> Explanation | None:
+        """What the agent expects of the push chosen in `td`, for recordings; None if it has no say.
+
+        It draws nothing and changes nothing.
+        """
+        explain = getattr(self._agent, "explain", None)
+        return None if explain is None else explain(td)
 
     def _untried(self, legal: NDArray[np.int64], centers: NDArray[np.float32]) -> NDArray[np.int64]:
         if self._loop_distance is None:

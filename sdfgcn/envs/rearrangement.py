@@ -22,7 +22,7 @@ from sdfgcn.registry import PERCEPTIONS, WORLDS
 from sdfgcn.task.push_space import PushSpace
 from sdfgcn.task.region import Region
 from sdfgcn.task.scene import Detections, Scene
-from sdfgcn.task.world import Foreseeing, PushCommand, View, World
+from sdfgcn.task.world import Foreseeing, PushCommand, RobotShape, View, WatchedWorld, World
 
 
 class RearrangementEnv(EnvBase):
@@ -51,7 +51,8 @@ class RearrangementEnv(EnvBase):
         world: The objects, the camera and the robot.
         push_space: The actions, and where pushes start.
         n_objects: Objects in the next episode, 1 to `max_objects`; may be set.
-        record: Whether `episode_start` and `last_step` include RGB pictures; may be set.
+        record: Whether `episode_start` and `last_step` include RGB pictures and, if the world knows
+            them, the robot and its motion; may be set before a reset.
         episode_start: The constants and first moment of the current episode.
         last_step: The last push; None at the start of an episode.
     """
@@ -149,8 +150,16 @@ class RearrangementEnv(EnvBase):
             start=self._now,
             goal=self._goal,
             camera=self.world.camera,
+            robot=self._watched_robot(),
         )
         return self._observation()
+
+    def _watched_robot(self) -> RobotShape | None:
+        """Have the world watch its robot exactly while the env records."""
+        if not isinstance(self.world, WatchedWorld):
+            return None
+        self.world.watching = self.record
+        return self.world.robot_shape() if self.record else None
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         row, direction = self.push_space.decode(int(tensordict["action"]))

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sdfgcn.task.camera import CameraModel
+from sdfgcn.task.explanation import Explanation
 from sdfgcn.task.scene import Scene
-from sdfgcn.task.world import PushResult, Truth
+from sdfgcn.task.world import PushResult, RobotShape, Truth
 
 
 @dataclass(frozen=True)
@@ -46,6 +47,7 @@ class EpisodeStart:
         start: The first moment.
         goal: The arrangement to reach.
         camera: The camera that took both pictures.
+        robot: What the robot looks like; None unless the env records and the world knows.
     """
 
     seed: int
@@ -54,6 +56,7 @@ class EpisodeStart:
     start: Snapshot
     goal: Snapshot
     camera: CameraModel
+    robot: RobotShape | None = None
 
 
 @dataclass(frozen=True)
@@ -91,6 +94,7 @@ class StepRecord:
         truncated: The episode ended at the step limit.
         legal: bool [N, D] the pushes that were legal.
         q_values: float [N, D] the agent's action values, if it has any.
+        explanation: What the agent expected of the push, if it says and the episode is recorded.
     """
 
     index: int
@@ -105,3 +109,4 @@ class StepRecord:
     truncated: bool
     legal: NDArray[np.bool_]
     q_values: NDArray[np.float32] | None = None
+    explanation: Explanation | None = None

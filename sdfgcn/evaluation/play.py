@@ -19,8 +19,11 @@ if TYPE_CHECKING:
     from torch import Tensor
 
     from sdfgcn.envs.records import EpisodeStart, StepRecord
+    from sdfgcn.task.explanation import Explanation
 
-# Sets `action` in an observation, and `action_value` if a Q-network chose it.
+# Sets `action` in an observation, and `action_value` if a Q-network chose it. It may also have a
+# method `explain`, which takes the result and returns an `Explanation` or None; it is called only
+# in recorded episodes.
 Policy = Callable[["TensorDictBase"], "TensorDictBase"]
 
 
@@ -108,11 +111,12 @@ def play_episode(
                 f"{seed}) are not finite: the weights are damaged or their training diverged; use "
                 "another checkpoint, or train with a lower train.learning_rate."
             )
+        explanation = None if recorder is None else _explanation(policy, chosen)
         td = env.step(chosen)["next"]
         total_reward += float(td["reward"])
         done = bool(td["done"])
         if recorder is not None:
-            recorder.step(_with_values(env.last_step, values))
+            recorder.step(_thoughtful(env.last_step, values, explanation))
     last, start = env.last_step, env.episode_start
     objects = () if start.truth is None else start.truth.objects
     known = last.distances[np.isfinite(last.distances)]  # empty if no object is matched any more
@@ -131,8 +135,15 @@ def play_episode(
     )
 
 
-def _with_values(step: StepRecord, values: Tensor | None) -> StepRecord:
-    """The step with the agent's action values, [N * D], if it has any."""
-    if values is None:
-        return step
-    return replace(step, q_values=values.numpy().reshape(step.legal.shape))
+def _explanation(policy: Policy, chosen: TensorDictBase) -> Explanation | None:
+    """What the policy expects of the push that it chose; None if it does not say."""
+    explain = getattr(policy, "explain", None)
+    return None if explain is None else explain(chosen)
+
+
+def _thoughtful(
+    step: StepRecord, values: Tensor | None, explanation: Explanation | None
+) -> StepRecord:
+    """The step with the agent's action values, [N * D], and its explanation, if there are any."""
+    q_values = None if values is None else values.numpy().reshape(step.legal.shape)
+    return replace(step, q_values=q_values, explanation=explanation)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import ClassVar, NamedTuple
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor, nn
 
 from sdfgcn.config import ArenaConfig, Config, QNetworkConfig, number, positive, several
@@ -20,6 +21,7 @@ from sdfgcn.models.planner import PlannerConfig, pushes_needed, risk_of_leaving
 from sdfgcn.models.polar import PolarConv, PolarMaps, in_all_directions, reflected
 from sdfgcn.models.q_network import QNetwork
 from sdfgcn.registry import MODELS
+from sdfgcn.task.explanation import Explanation
 from sdfgcn.task.scene import Scene
 
 
@@ -223,6 +225,43 @@ class PushModel(QNetwork):
             saved = saved + self._saved_next(scene, goal, matched, moves, saved)
         return saved * scene.node_mask[..., None]
 
+    @torch.no_grad()
+    def explain(self, td: TensorDictBase) -> Explanation:
+        """What it expects of the push `td["action"]` in the observation of one env.
+
+        The scores of every push: "pushes saved" by it, "out of range", the number of objects that
+        are expected there afterwards, and with a depth of 2 "saved by the next" for the pushes
+        after which it looked further.
+        """
+        scene, goal, matched = (td[key][None] for key in self.in_keys)
+        moves = self.moves(scene)
+        value = self._saved(scene.center, goal.center, matched, moves)
+        risk = self._risk(scene.center, moves).sum(dim=2)
+        scores = {"pushes saved": value + self.config.planner.risk * risk, "out of range": risk}
+        if self.config.planner.depth == 2:
+            weighed = torch.zeros_like(value, dtype=torch.bool).flatten(1)
+            weighed = weighed.scatter_(1, self._best(scene, value), True).unflatten(
+                1, value.shape[1:]
+            )
+            later = self._saved_next(scene, goal, matched, moves, value)
+            scores["saved by the next"] = later.masked_fill(~weighed, torch.nan)
+        row, direction = divmod(int(td["action"]), self.n_directions)
+        return Explanation(
+            displacement=moves.mean[0, row, :, direction].numpy(),
+            deviation=moves.deviation[0, row, :, direction].numpy(),
+            scores={name: values[0].numpy() for name, values in scores.items()},
+        )
+
+    def _risk(self, center: Tensor, moves: Moves) -> Tensor:
+        """[B, N, N, D] probability that each push leaves each object out of range."""
+        ends = self.maps.inside_by(center[:, None, :, None] + moves.mean)
+        return risk_of_leaving(ends, moves.deviation) * moves.near[..., None]
+
+    def _best(self, scene: Scene, saved: Tensor) -> Tensor:
+        """[B, K] the pushes after which a second one is looked for: the most valuable."""
+        first = saved.masked_fill(~scene.node_mask[..., None], -torch.inf).flatten(1)
+        return first.topk(min(self.config.planner.width, first.shape[1])).indices
+
     def _saved(self, center: Tensor, target: Tensor, matched: Tensor, moves: Moves) -> Tensor:
         """The pushes saved by each push [B, N, D] of objects at [B, N, 2] with goals [B, N, 2]."""
         planner, threshold = self.config.planner, self.config.success_threshold
@@ -231,18 +270,15 @@ class PushModel(QNetwork):
         before = pushes_needed(planner, threshold, here.norm(dim=-1), here.new_zeros(()))
         after = pushes_needed(planner, threshold, then.norm(dim=-1), moves.deviation)
         saved = (before[:, None, :, None] - after) * (matched[:, None] & moves.near)[..., None]
-        ends = self.maps.inside_by(center[:, None, :, None] + moves.mean)
-        risk = risk_of_leaving(ends, moves.deviation) * moves.near[..., None]
-        return (saved - planner.risk * risk).sum(dim=2)
+        return (saved - planner.risk * self._risk(center, moves)).sum(dim=2)
 
     def _saved_next(
         self, scene: Scene, goal: Scene, matched: Tensor, moves: Moves, saved: Tensor
     ) -> Tensor:
         """The pushes saved by the best second push after each of the best ones; 0 after others."""
         n, count = saved.shape[1], len(saved)
-        first = saved.masked_fill(~scene.node_mask[..., None], -torch.inf).flatten(1)
-        width = min(self.config.planner.width, first.shape[1])
-        best = first.topk(width).indices  # [B, K]
+        best = self._best(scene, saved)
+        width = best.shape[1]
         rows, directions = best // self.n_directions, best % self.n_directions
         each = torch.arange(count, device=best.device)[:, None]
         shift = moves.mean[each, rows, :, directions].flatten(0, 1)  # [B K, N, 2]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Callable
 
 import mujoco
 import numpy as np
@@ -13,7 +14,9 @@ from numpy.typing import NDArray
 from sdfgcn.config import ArenaConfig, PushConfig
 from sdfgcn.sim.robots.robot import Robot, Unreachable
 from sdfgcn.task.region import Region
-from sdfgcn.task.world import PushCommand, PushResult
+from sdfgcn.task.world import Phase, PushCommand, PushResult
+
+Watch = Callable[[Phase], None]  # called at each moment of a push with what the robot is doing
 
 NEGLIGIBLE = 0.1  # drive acceleration (rad/s2 or m/s2) below which feed-forward is skipped
 
@@ -26,8 +29,11 @@ class PushPrimitive:
         self._config = config
         self._reach = Region.reach(arena)
         self._robot = robot
+        self._watch: Watch | None = None
 
-    def execute(self, physics: mjcf.Physics, command: PushCommand) -> PushResult:
+    def execute(
+        self, physics: mjcf.Physics, command: PushCommand, watch: Watch | None = None
+    ) -> PushResult:
         """Push, and leave the robot at home; props may still be moving.
 
         The robot jumps across the free space above the props, because simulating that motion
@@ -38,8 +44,10 @@ class PushPrimitive:
         Args:
             physics: Stepped in place.
             command: The push; a start that is NaN or out of bounds is unreachable.
+            watch: Called while the robot moves; must change nothing.
         """
         config = self._config
+        self._watch = watch
         ahead = np.array([np.cos(command.angle), np.sin(command.angle)])
         start = np.array([*command.start, config.height])
         if not self._reach.contains(command.start):
@@ -75,6 +83,7 @@ class PushPrimitive:
             mujoco.mj_kinematics(model, data)
             mujoco.mj_collision(model, data)
             if self._touches(data):
+                self._show("descent")
                 return False
         return True
 
@@ -85,7 +94,11 @@ class PushPrimitive:
             return True
         self._robot.place(physics, path.joints[0])
         speed = self._config.descent_speed
-        return not self._follow(physics, path, speed, until_touch=True)[1]
+        return not self._follow(physics, path, speed, phase="descent", until_touch=True)[1]
+
+    def _show(self, phase: Phase) -> None:
+        if self._watch is not None:
+            self._watch(phase)
 
     def _touches(self, data: mujoco.MjData) -> bool:
         """Whether a prop is in contact with the robot."""
@@ -100,7 +113,7 @@ class PushPrimitive:
         config = self._config
         expected = config.length + (0.0 if config.length_from == "start" else free)
         reached, touched = self._follow(
-            physics, path, config.speed, until=expected, until_touch=True
+            physics, path, config.speed, phase="push", until=expected, until_touch=True
         )
         if touched:
             stop = reached + config.length if config.length_from == "touch" else expected
@@ -108,6 +121,7 @@ class PushPrimitive:
                 physics,
                 path,
                 config.speed,
+                phase="push",
                 origin=reached,
                 until=stop,
                 from_rest=False,
@@ -125,6 +139,7 @@ class PushPrimitive:
             physics,
             push,
             config.descent_speed,
+            phase="lift",
             origin=reached,
             until=max(0.0, reached - config.retreat),
         )
@@ -133,7 +148,7 @@ class PushPrimitive:
         # If the rise is out of reach, the arm goes home from where it is.
         with contextlib.suppress(Unreachable):
             rise = _Path(self._robot, yaw, bottom, top, joints, config.approach)
-            self._follow(physics, rise, config.lift_speed, to_rest=False)
+            self._follow(physics, rise, config.lift_speed, phase="lift", to_rest=False)
         self._robot.place(physics, self._robot.home)
 
     def _follow(
@@ -142,6 +157,7 @@ class PushPrimitive:
         path: _Path,
         speed: float,
         *,
+        phase: Phase,
         origin: float = 0.0,
         until: float = np.inf,
         until_touch: bool = False,
@@ -155,6 +171,7 @@ class PushPrimitive:
             physics: Stepped in place.
             path: The path to follow.
             speed: Metres per second.
+            phase: What the robot is doing, for `watch`.
             origin: Start, metres along the path.
             until: End, metres along the path; may lie before `origin`.
             until_touch: Stop as soon as a prop touches the robot.
@@ -187,9 +204,11 @@ class PushPrimitive:
             control += self._robot.effort(physics, changes)
         model, data = physics.model.ptr, physics.data.ptr
         drives, commanded = self._robot.drive_ids, data.ctrl
+        self._show(phase)
         for k, reached in enumerate(travelled[1:]):
             commanded[drives] = control[k]
             mujoco.mj_step(model, data, steps)
+            self._show(phase)
             if until_touch and self._touches(data):
                 return float(reached), True
         return float(until), False

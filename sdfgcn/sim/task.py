@@ -17,7 +17,7 @@ from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.arena import GROUP_PARKED, GROUP_SCENE, Table
 from sdfgcn.sim.episode import EpisodeSpec
 from sdfgcn.sim.props import CONAFFINITY_PROP, CONTYPE_PROP, PARKING, Prop
-from sdfgcn.sim.push import PushPrimitive
+from sdfgcn.sim.push import PushPrimitive, Watch
 from sdfgcn.task.world import PushCommand, PushResult
 
 READY_TO_SLEEP = -1  # MuJoCo increments tree_asleep up to this value while a tree is still
@@ -132,8 +132,10 @@ class RearrangementTask(composer.Task):
 
     # ------------------------------------------------------------------ pushing
 
-    def execute(self, physics: mjcf.Physics, command: PushCommand) -> PushResult:
-        """Push, and let the props come to rest.
+    def execute(
+        self, physics: mjcf.Physics, command: PushCommand, watch: Watch | None = None
+    ) -> PushResult:
+        """Push, and let the props come to rest; see `PushPrimitive.execute`.
 
         The final simulation state depends on the props' poses alone: velocities, warm starts and
         sleep are cleared, so that restoring saved poses restores the state.
@@ -143,7 +145,7 @@ class RearrangementTask(composer.Task):
         """
         options = physics.model.opt
         options.noslip_iterations = 0  # off while the tool moves, see conf/env/paper.yaml
-        result = self._primitive.execute(physics, command)
+        result = self._primitive.execute(physics, command, watch)
         options.noslip_iterations = self._config.physics.noslip_iterations
         if result.status != "unreachable":
             self._settle(physics)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import logging
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, nullcontext
@@ -18,9 +19,10 @@ from sdfgcn.objects.model import ObjectModel
 from sdfgcn.registry import WORLDS
 from sdfgcn.sim.episode import EpisodeSpec, draw_episode
 from sdfgcn.sim.renderer import Renderer
+from sdfgcn.sim.robots.visible import VisibleRobot
 from sdfgcn.sim.task import RearrangementTask
 from sdfgcn.task.camera import CameraModel, camera_model
-from sdfgcn.task.world import PushCommand, PushResult, Truth
+from sdfgcn.task.world import Motion, Phase, PushCommand, PushResult, RobotShape, Truth
 
 MAX_REDRAWS = 20  # draws of a scene after one in which an object is hidden
 
@@ -38,6 +40,7 @@ class MujocoWorld:
         physics: The compiled model and its state.
         renderer: Renders the world.
         truth: The current episode's objects, their colours and true goal poses.
+        watching: See `sdfgcn.task.world.WatchedWorld`.
     """
 
     def __init__(self, config: EnvConfig, catalogue: Sequence[ObjectModel] | None = None) -> None:
@@ -57,6 +60,11 @@ class MujocoWorld:
         )
         self._renderer: Renderer | None = None
         self.truth: Truth | None = None
+        self.watching = False
+
+    @functools.cached_property
+    def _visible_robot(self) -> VisibleRobot | None:
+        return VisibleRobot.find(self._config.robot)  # takes seconds and memory, so only if asked
 
     @property
     def physics(self) -> mjcf.Physics:
@@ -142,12 +150,33 @@ class MujocoWorld:
 
     def execute(self, command: PushCommand) -> PushResult:
         """Push, and wait until everything is at rest."""
-        return self.task.execute(self.physics, command)
+        if not self.watching:
+            return self.task.execute(self.physics, command)
+        phases: list[Phase] = []
+        joints, objects = [self.task.robot.home], [self.poses()]
+
+        def watch(phase: Phase) -> None:
+            phases.append(phase)
+            joints.append(self.task.robot.joints(self.physics))
+            objects.append(self.poses())
+
+        result = self.task.execute(self.physics, command, watch)
+        links = self._links(np.array(joints))
+        return replace(result, motion=Motion(tuple(phases), links[1:], np.array(objects)[1:]))
+
+    def robot_shape(self) -> RobotShape | None:
+        """What the robot looks like; None if it has no visual geoms."""
+        return None if self._visible_robot is None else self._visible_robot.shape
+
+    def _links(self, joints: NDArray[np.float64]) -> NDArray[np.float64]:
+        """[T, L, 7] poses of the robot's links at joint positions [T, drives]."""
+        robot = self._visible_robot
+        return np.zeros((len(joints), 0, 7)) if robot is None else robot.poses(joints)
 
     def foresee(self, command: PushCommand) -> NDArray[np.float64]:
         """[n, 7] the poses after a push, which is taken back."""
         with self.objects_at(self.poses()):
-            self.execute(command)
+            self.task.execute(self.physics, command)
             return self.poses()
 
     def poses(self) -> NDArray[np.float64]:

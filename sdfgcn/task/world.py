@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from sdfgcn.objects.model import ObjectModel
 
 PushStatus = Literal["done", "blocked", "unreachable", "no_contact"]
+Phase = Literal["descent", "push", "lift"]
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,51 @@ class PushCommand:
 
 
 @dataclass(frozen=True)
+class RobotLink:
+    """One rigid part of a robot, as a mesh in the link's frame.
+
+    Attributes:
+        name: The link's name, unique in the robot.
+        vertices: float32 [V, 3] metres.
+        faces: int32 [F, 3] vertex indices.
+        colors: uint8 [V, 3] RGB of each vertex.
+    """
+
+    name: str
+    vertices: NDArray[np.float32]
+    faces: NDArray[np.int32]
+    colors: NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class RobotShape:
+    """What a robot looks like.
+
+    Attributes:
+        links: Its L links.
+        home: float64 [L, 7] their poses between pushes: xyz in metres, quaternion w, x, y, z.
+    """
+
+    links: tuple[RobotLink, ...]
+    home: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The course of one push, at T moments in their order; T is 0 if the robot did not move.
+
+    Attributes:
+        phases: [T] what the robot did.
+        links: float64 [T, L, 7] poses of the robot's links, in the order of its shape.
+        objects: float64 [T, n, 7] poses of the objects, by slot.
+    """
+
+    phases: tuple[Phase, ...]
+    links: NDArray[np.float64]
+    objects: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class PushResult:
     """The outcome of a push.
 
@@ -47,11 +93,13 @@ class PushResult:
             touched no object.
         start: [3] where the fingertips started to push, metres, world frame.
         end: [3] where they stopped, metres, world frame.
+        motion: The course of the push; None unless a `WatchedWorld` was asked for it.
     """
 
     status: PushStatus
     start: NDArray[np.float64]
     end: NDArray[np.float64]
+    motion: Motion | None = None
 
 
 class View(Protocol):
@@ -137,3 +185,18 @@ class Foreseeing(Protocol):
 
     def foresee(self, command: PushCommand) -> NDArray[np.float64]:
         """float64 [n, 7] the objects' true poses after a push; the world stays as it is."""
+
+
+@runtime_checkable
+class WatchedWorld(Protocol):
+    """A world that also knows where its robot and its objects are during a push; optional.
+
+    Attributes:
+        watching: Whether `execute` also returns the motion of each push; may be set. It changes no
+            outcome.
+    """
+
+    watching: bool
+
+    def robot_shape(self) -> RobotShape | None:
+        """What the robot looks like; None if there is no model of that."""

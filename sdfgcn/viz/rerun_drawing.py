@@ -1,4 +1,4 @@
-"""Building blocks of a rerun recording: colours, archetypes and the viewer's layout."""
+"""Building blocks of a rerun recording: archetypes of what the world and the pictures show."""
 
 from __future__ import annotations
 
@@ -6,79 +6,61 @@ import io
 
 import numpy as np
 import rerun as rr
-import rerun.blueprint as rrb
 from numpy.typing import NDArray
 from PIL import Image
 
-from sdfgcn.config import ArenaConfig
 from sdfgcn.envs.records import Snapshot
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.task.camera import CameraModel
-from sdfgcn.task.world import PushStatus
+from sdfgcn.task.world import PushStatus, RobotLink
+from sdfgcn.viz.colors import EDGE_COLOR, MATCH_COLOR, STATUS_COLORS, Color, sdf_colors
 from sdfgcn.viz.shapes import edge_strips, vertex_normals
 
-TIMELINE = "push"
-
-Color = tuple[int, int, int]
 ColorLike = tuple[int, ...] | NDArray[np.uint8]
 
-# Okabe and Ito's colour-blind-safe palette, by slot.
-_PALETTE: tuple[Color, ...] = (
-    (230, 159, 0),
-    (86, 180, 233),
-    (0, 158, 115),
-    (240, 228, 66),
-    (0, 114, 178),
-    (213, 94, 0),
-    (204, 121, 167),
-    (153, 153, 153),
-)
-UNMATCHED_COLOR: Color = (255, 0, 255)
-EDGE_COLOR: Color = (160, 160, 160)  # between objects of one picture
-MATCH_COLOR: Color = (255, 255, 255)  # from an object to its goal
-STATUS_COLORS: dict[PushStatus, Color] = {
-    "done": (40, 200, 80),
-    "blocked": (230, 50, 50),
-    "unreachable": (140, 140, 140),
-    "no_contact": (240, 180, 40),
-}
 MASK_OPACITY = 0.35
 GOAL_ALPHA = 90  # of 255
-_SDF_RANGE = 24.0  # pixels from zero to either end of the colour map
-
-
-def slot_color(slot: int) -> Color:
-    """The colour of an object in masks, outlines and plots."""
-    return _PALETTE[slot % len(_PALETTE)]
 
 
 def png(pixels: NDArray[np.uint8]) -> rr.EncodedImage:
     """A picture, uint8 [H, W, 3], as a PNG."""
     buffer = io.BytesIO()
-    Image.fromarray(pixels).save(buffer, format="png")
+    Image.fromarray(pixels).save(buffer, format="png", optimize=True)
     return rr.EncodedImage(contents=buffer.getvalue(), media_type="image/png")
 
 
-def sdf_image(sdf: NDArray[np.float32]) -> rr.DepthImage:
-    """A signed distance field, [H, W] pixels, in a diverging colour map."""
-    return rr.DepthImage(
-        sdf.astype(np.float16),  # at most 0.03 pixels off, at half the size
-        meter=1.0,
-        colormap=rr.components.Colormap.CyanToYellow,
-        depth_range=(-_SDF_RANGE, _SDF_RANGE),
-    )
+def markdown(text: str) -> rr.TextDocument:
+    """A text in Markdown."""
+    return rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN)
+
+
+def sdf_image(sdf: NDArray[np.float32]) -> rr.EncodedImage:
+    """A signed distance field, [H, W] pixels, in colours; see `sdf_colors`."""
+    return png(sdf_colors(sdf))
 
 
 def arrow_2d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows2D:
-    """A push in the picture; start and end are [2] pixels."""
+    """A push in the picture, with a dark edge; start and end are [2] pixels."""
     return rr.Arrows2D(
+        origins=[start, start],
+        vectors=[end - start, end - start],
+        colors=[(0, 0, 0), STATUS_COLORS[status]],
+        radii=[1.6, 1.0],
+        labels=["", status.replace("_", " ")],
+        show_labels=False,  # the colour suffices, and a label would cover objects
+        draw_order=30,
+    )
+
+
+def arrow_3d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows3D:
+    """A push in the world; start and end are [3] metres."""
+    return rr.Arrows3D(
         origins=[start],
         vectors=[end - start],
         colors=STATUS_COLORS[status],
-        radii=1.0,
-        labels=status,
-        show_labels=status != "done",  # the colour suffices, and a label would cover objects
-        draw_order=30,
+        radii=0.004,
+        labels=status.replace("_", " "),
+        show_labels=status != "done",
     )
 
 
@@ -89,10 +71,13 @@ def edges_2d(scene: Snapshot, goal: Snapshot) -> rr.LineStrips2D:
     return rr.LineStrips2D(list(strips), colors=colors.astype(np.uint8), radii=0.15, draw_order=15)
 
 
-def arrow_3d(start: NDArray, end: NDArray, status: PushStatus) -> rr.Arrows3D:
-    """A push in the world; start and end are [3] metres."""
-    return rr.Arrows3D(
-        origins=[start], vectors=[end - start], colors=STATUS_COLORS[status], radii=0.004
+def outlines_2d(strips: list[NDArray], colors: list[Color], radius: float) -> rr.LineStrips2D:
+    """Lines [P, 2] pixels in the picture, each on a dark one that is wider."""
+    return rr.LineStrips2D(
+        [*strips, *strips],
+        colors=[(0, 0, 0)] * len(strips) + colors,
+        radii=[1.8 * radius] * len(strips) + [radius] * len(strips),
+        draw_order=20,
     )
 
 
@@ -106,6 +91,16 @@ def mesh(model: ObjectModel, color: ColorLike, skin: bool = False) -> rr.Mesh3D:
         vertex_texcoords=model.uv if textured else None,
         albedo_texture=model.texture if textured else None,
         albedo_factor=None if textured else color,
+    )
+
+
+def link(part: RobotLink) -> rr.Mesh3D:
+    """A link of the robot, in its frame."""
+    return rr.Mesh3D(
+        vertex_positions=part.vertices,
+        triangle_indices=part.faces,
+        vertex_normals=vertex_normals(part.vertices, part.faces),
+        vertex_colors=part.colors,
     )
 
 
@@ -144,62 +139,3 @@ def region(x: list[float], y: list[float], color: ColorLike) -> rr.LineStrips3D:
 
 def _corners(x: list[float], y: list[float]) -> list[tuple[float, float]]:
     return [(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])]
-
-
-def blueprint(arena: ArenaConfig, n_objects: int, with_q_values: bool) -> rrb.Blueprint:
-    """Pictures on the left, 3D view in the middle, SDFs on the right, plots below."""
-    pictures = rrb.Vertical(
-        rrb.Spatial2DView(origin="world/camera", name="Scene"),
-        rrb.Spatial2DView(origin="goal", name="Goal"),
-    )
-    sdfs = rrb.Grid(
-        *(
-            rrb.Spatial2DView(origin=f"sdf/{which}/{slot}", name=f"#{slot} {which}")
-            for slot in range(n_objects)
-            for which in ("scene", "goal")
-        ),
-        grid_columns=2 if n_objects <= 3 else 4,
-        name="SDFs",
-    )
-    words = rrb.Tabs(
-        rrb.TextLogView(
-            origin="log", name="Log", columns=rrb.TextLogColumns(text_log_columns=["Body"])
-        ),
-        rrb.TextDocumentView(origin="summary", name="Summary"),
-    )
-    q_values = [_q_values_view()] if with_q_values else []
-    figures = rrb.Horizontal(
-        rrb.TimeSeriesView(origin="distance", name="Distance to goal (m)"),
-        rrb.TimeSeriesView(origin="reward", name="Reward"),
-        rrb.TimeSeriesView(origin="outcome", name="Return and outcome"),
-        *q_values,
-        words,
-        column_shares=[1, 1, 1, *([2] * len(q_values)), 1],
-    )
-    top = rrb.Horizontal(pictures, _world_view(arena), sdfs, column_shares=[2, 3, 2])
-    return rrb.Blueprint(
-        rrb.Vertical(top, figures, row_shares=[3, 1]),
-        rrb.TimePanel(state="collapsed", timeline=TIMELINE, fps=2.0),
-        rrb.BlueprintPanel(state="collapsed"),
-        rrb.SelectionPanel(state="collapsed"),
-    )
-
-
-def _q_values_view() -> rrb.Tabs:
-    return rrb.Tabs(
-        rrb.TextDocumentView(origin="q_values/table", name="Q-values"),
-        rrb.TensorView(origin="q_values", name="Heat map"),
-    )
-
-
-def _world_view(arena: ArenaConfig) -> rrb.Spatial3DView:
-    """The 3D view from the camera's side, so that left and right are as in the pictures."""
-    (x_low, x_high), (y_low, y_high) = arena.reach_x, arena.reach_y
-    centre = np.array([(x_low + x_high) / 2, (y_low + y_high) / 2, 0.0])
-    eye = centre + (y_high - y_low) * np.array([0.2, -1.0, 0.8])
-    return rrb.Spatial3DView(
-        origin="world",
-        name="World",
-        line_grid=False,
-        eye_controls=rrb.EyeControls3D(position=eye, look_target=centre),
-    )

