@@ -67,7 +67,8 @@ COUNTS = {
     "many": ("curriculum.counts=[3,4]",),  # TOYS are four
     "on": (  # every push succeeds, and the seventh at a count opens the next
         *("curriculum.counts=[1,2,3]", "curriculum.window=7", "curriculum.success_threshold=0.0"),
-        *("curriculum.confidence=0.5", "+train.env.success_threshold=1.0"),
+        *("curriculum.confidence=0.5", "curriculum.newest_share=1.0"),
+        "+train.env.success_threshold=1.0",
     ),
 }
 
