@@ -24,14 +24,14 @@ class Terminated(KeyboardInterrupt):
     """
 
     @property
-    def signal(self) -> signal.Signals:
+    def which(self) -> signal.Signals:
         """The signal."""
         return signal.Signals[str(self).split()[-1]]
 
 
 def exit_code(error: KeyboardInterrupt) -> int:
     """The exit code of a process that ends by a signal: 130 after Ctrl-C, 143 after SIGTERM."""
-    return 128 + (error.signal if isinstance(error, Terminated) else signal.SIGINT)
+    return 128 + (error.which if isinstance(error, Terminated) else signal.SIGINT)
 
 
 @contextlib.contextmanager
