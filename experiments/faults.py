@@ -221,6 +221,10 @@ class Faults:
         self._whole: dict[str, tuple[dict[str, Any], float]] = {}
         self._count = 0
 
+    def mixed(self, cases: Sequence[Case]) -> list[Case]:
+        """The cases in random order."""
+        return [cases[k] for k in self._rng.permutation(len(cases))]
+
     def undisturbed(self, case: Case) -> tuple[dict[str, Any], float]:
         """What a run leaves that nobody disturbs, and its seconds."""
         if case.name not in self._whole:
@@ -299,7 +303,7 @@ class Faults:
 
 def disturbed(faults: Faults, minutes: int) -> Iterator[Trial | Strike | None]:
     """Disturb runs until the time is up; every fifth gets a full disk or loses its folder."""
-    turn = [case for share in range(2) for case in CASES if case.share > share]
+    turn = faults.mixed([case for case in CASES for _ in range(case.share)])
     until, k, others = time.monotonic() + 60.0 * minutes, 0, 0
     while time.monotonic() < until:
         if k % 5 == 4:

@@ -36,6 +36,7 @@ from sdfgcn.evaluation.report import text
 from sdfgcn.experiment import run_experiment
 from sdfgcn.help import all_keys, help_text
 from sdfgcn.opengl import check_opengl
+from sdfgcn.processes import end_with_parent
 from sdfgcn.run_folder import RunFolder
 from sdfgcn.signals import exit_code, stoppable
 from sdfgcn.sweep import stopped_jobs_marked
@@ -72,7 +73,8 @@ def run(cfg: DictConfig) -> float | None:
     In an experiment, train and evaluate one of its methods instead.
     """
     job = HydraConfig.get()
-    with stoppable():  # also in a process of a launcher
+    end_with_parent()  # a launcher may have started this process
+    with stoppable():
         if cfg.experiment.name != "none":
             _run_in_comparison(cfg, job)
             return None
@@ -138,7 +140,8 @@ def run_plainly(main: Callable[[], Any]) -> None:
         SystemExit: Code 1 after such a sentence, 130 after Ctrl-C, 143 after SIGTERM.
     """
     if os.environ.get(_FULL_ERROR) == "1":
-        main()
+        with stoppable():
+            main()
         return
     os.environ[_FULL_ERROR] = "1"  # makes Hydra raise instead of printing its own message
     try:

@@ -236,7 +236,7 @@ def _reason(error: BaseException) -> str:
     if isinstance(error, KeyboardInterrupt | SystemExit):
         how = "Interrupted from the keyboard"
         if isinstance(error, Terminated):
-            how = f"Stopped by {error}"
+            how = f"Stopped by {error.which.name}"
         elif isinstance(error, SystemExit):
             how = f"Asked to exit with code {error.code}, as by a scheduler"
         return f"{how}; the same hydra.run.dir goes on from here."

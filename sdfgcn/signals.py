@@ -18,20 +18,20 @@ GRACE = 10.0  # seconds that a worker outlives such a signal, so that its parent
 
 
 class Terminated(KeyboardInterrupt):
-    """A signal asked this process to end; `number` is the signal's."""
+    """A signal asked this process to end; the message ends with its name.
 
-    def __init__(self, number: int) -> None:
-        """Note which signal it was."""
-        super().__init__(number)
-        self.number = number
+    dm_control raises errors anew with words before their message.
+    """
 
-    def __str__(self) -> str:
-        return signal.Signals(self.number).name
+    @property
+    def which(self) -> signal.Signals:
+        """The signal."""
+        return signal.Signals[str(self).split()[-1]]
 
 
 def exit_code(error: KeyboardInterrupt) -> int:
     """The exit code of a process that ends by a signal: 130 after Ctrl-C, 143 after SIGTERM."""
-    return 128 + (error.number if isinstance(error, Terminated) else signal.SIGINT)
+    return 128 + (error.which if isinstance(error, Terminated) else signal.SIGINT)
 
 
 @contextlib.contextmanager
@@ -49,7 +49,7 @@ def stoppable() -> Iterator[None]:
     def stop(number: int, frame: FrameType | None) -> None:
         for each in free:  # a second signal must not cut short what the first one began
             signal.signal(each, signal.SIG_IGN)
-        raise Terminated(number)
+        raise Terminated(signal.Signals(number).name)
 
     for number in free:
         signal.signal(number, stop)

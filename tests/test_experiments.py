@@ -15,6 +15,8 @@ sys.path.insert(0, str(ROOT / "experiments"))
 
 import benchmark  # noqa: E402
 import common  # noqa: E402
+import faults  # noqa: E402
+import faults_table  # noqa: E402
 import perception  # noqa: E402
 import perception_matching as matching  # noqa: E402
 import perception_readme as readme  # noqa: E402
@@ -105,6 +107,70 @@ def test_every_command_has_help(path: Path, capsys: pytest.CaptureFixture[str]) 
         sys.argv = sys_argv
     assert not ended.value.code
     assert "--publish" in capsys.readouterr().out
+
+
+# ---------------------------------------------------------------------- faults
+
+
+def struck(fault: str, *wrong: str, case: str = "evaluation") -> faults_table.Strike:
+    return faults_table.Strike(case, fault, 1.0, list(wrong))
+
+
+def test_faults_are_counted_by_command_and_kind() -> None:
+    trials = [
+        faults_table.Trial("evaluation", [struck("SIGKILL"), struck("SIGTERM", "hung")], []),
+        faults_table.Trial("evaluation", [struck("SIGKILL")], ["other rows"]),
+        faults_table.Trial("evaluation", [], []),  # ended before it was struck
+    ]
+    own = {"minutes": 2, "seed": 7}
+    exact = {"training": False, "evaluation": True}
+    others = [struck("disk full", case="training")]
+    result = faults_table.outcome(trials, others, exact, own)
+    assert (result["strikes"], result["resumed"], len(result["wrong"])) == (4, 2, 2)
+    rows = [(row["what"], row["fault"], row["n"], row["wrong"]) for row in result["rows"]]
+    assert rows == [
+        ("training", "disk full", 1, []),
+        ("evaluation", "SIGKILL", 2, []),
+        ("evaluation", "SIGTERM", 1, [["hung"]]),
+        ("evaluation", "then resumed: same as undisturbed", 2, [["other rows"]]),
+    ]
+    twice = faults_table.united([result, {**result, "seeds": [8]}])
+    assert (twice["strikes"], twice["minutes"], twice["seeds"]) == (8, 4, [7, 8])
+    assert [row["n"] for row in twice["rows"]] == [2, 4, 2, 4]
+    assert "| evaluation | SIGTERM | 2 | 0 | hung (2) |" in faults_table.markdown(twice)
+    with pytest.raises(SystemExit, match="different commits"):
+        faults_table.united([result, {**result, "git": None}])
+
+
+def test_what_is_wrong_with_an_end() -> None:
+    def told(fault: str, code: int | None, *states: str, orphans: int = 0, log: str = "") -> list:
+        return faults.complaints(fault, faults.Ended(code, True, orphans, 1.0, log), states)
+
+    assert told("SIGTERM", 143, "stopped") == []
+    assert told("SIGTERM", -15) == []  # before the run had begun
+    assert told("SIGKILL", -9, "running") == []
+    assert told("SIGTERM", -15, "running") == [
+        "status.json says running",
+        "exit code -15, not 143",
+    ]
+    assert told("SIGINT to all", None, orphans=2) == ["hung", "2 processes left"]
+    assert told("disk full", 1, "failed", log="Traceback\nKeyError: 'a'") == [
+        "traceback: KeyError: 'a'"
+    ]
+
+
+def test_what_a_run_left_does_not_depend_on_time(tmp_path: Path) -> None:
+    for folder, seconds in (("a", "1"), ("b", "2")):
+        (tmp_path / folder / "0").mkdir(parents=True)
+        table = f"episode,wall_s\n0,{seconds}\n"
+        (tmp_path / folder / "0" / "episodes.csv").write_text(table)
+    assert faults.left_in(tmp_path / "a") == faults.left_in(tmp_path / "b")
+    assert faults.left_in(tmp_path / "a") == {"0/episodes.csv": [{"episode": "0"}]}
+    case = faults.Case("a", ())
+    assert faults.differences(case, tmp_path / "a", faults.left_in(tmp_path / "b")) == []
+    (tmp_path / "a" / "0" / "weights.safetensors").write_bytes(b"other")
+    told = faults.differences(case, tmp_path / "a", faults.left_in(tmp_path / "b"))
+    assert told == ["other 0/weights.safetensors"]
 
 
 # ---------------------------------------------------------------------- physics
