@@ -140,10 +140,10 @@ def run_plainly(main: Callable[[], Any]) -> None:
     try:
         with contextlib.redirect_stderr(_WithoutPreamble(sys.stderr)):
             main()
-    except KeyboardInterrupt:
-        print(how_to_go_on(), file=sys.stderr)
-        sys.exit(130)
-    except Exception as error:
+    except (KeyboardInterrupt, Exception) as error:
+        if _was_interrupted(error):
+            print(how_to_go_on(), file=sys.stderr)
+            sys.exit(130)
         sentence = to_sentence(error)
         if sentence is None:
             raise
@@ -207,6 +207,13 @@ class _WithoutPreamble:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stderr, name)
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: OmegaConf raises another one over it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
