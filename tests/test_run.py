@@ -210,7 +210,11 @@ def test_what_has_no_effect_is_said(overrides: list[str], idle: str | None) -> N
         assert told.startswith(f"Without effect, as nothing is trained: {idle}")
 
 
-def test_ctrl_c_behind_another_error(capsys: pytest.CaptureFixture[str]) -> None:
+def test_ctrl_c_behind_another_error(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # put back afterwards: the command sets it
+
     def main() -> None:
         try:
             raise KeyboardInterrupt
