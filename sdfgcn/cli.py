@@ -147,10 +147,11 @@ def run_plainly(main: Callable[[], Any]) -> None:
     try:
         with contextlib.redirect_stderr(_WithoutPreamble(sys.stderr)), stoppable():
             main()
-    except KeyboardInterrupt as error:
-        print(how_to_go_on(error), file=sys.stderr)
-        sys.exit(exit_code(error))
-    except Exception as error:
+    except (KeyboardInterrupt, Exception) as error:
+        interrupt = _interrupt(error)
+        if interrupt is not None:
+            print(how_to_go_on(interrupt), file=sys.stderr)
+            sys.exit(exit_code(interrupt))
         sentence = to_sentence(error)
         if sentence is None:
             raise
@@ -220,6 +221,13 @@ class _WithoutPreamble:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stderr, name)
+
+
+def _interrupt(error: BaseException | None) -> KeyboardInterrupt | None:
+    """Ctrl-C or a signal, if that is behind an error: OmegaConf raises another one over it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

@@ -66,7 +66,7 @@ def test_the_installed_wheel_evaluates_its_weights(wheel: Path, tmp_path: Path) 
         env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
         capture_output=True,
         text=True,
-        timeout=240,
+        timeout=480,
     )
     assert done.returncode == 0, done.stderr
     assert done.stderr == "Run folder: here\n"  # and no package's log lines

@@ -18,7 +18,7 @@ from configs import compose_config, real_config
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from sdfgcn.cli import to_sentence, without_effect
+from sdfgcn.cli import run_plainly, to_sentence, without_effect
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.experiment import run_experiment
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
@@ -275,6 +275,23 @@ def test_what_has_no_effect_is_said(overrides: list[str], idle: str | None) -> N
     else:
         assert told is not None
         assert told.startswith(f"Without effect, as nothing is trained: {idle}")
+
+
+def test_ctrl_c_behind_another_error(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # put back afterwards: the command sets it
+
+    def main() -> None:
+        try:
+            raise KeyboardInterrupt
+        finally:
+            raise SdfgcnError("what its clean-up ran into")
+
+    with pytest.raises(SystemExit) as ended:
+        run_plainly(main)
+    assert ended.value.code == 130
+    assert capsys.readouterr().err.startswith("Interrupted")
 
 
 def test_an_error_of_ours_keeps_its_traceback() -> None:
