@@ -69,7 +69,7 @@ def test_what_is_too_narrow_is_refused() -> None:
 
 
 def test_the_renderer_shows_what_was_mended() -> None:
-    """It culls backs of faces: a bad mesh shows less than its hull, a mended one does not."""
+    """It culls backs of faces: a bad mesh shows less than its hull, a mended one as much."""
     bad = open_bowl()
     good, mended = toy("good", np.concatenate(bad.pieces)), made_visible(bad)
     assert len(mended.faces) == 2 * len(bad.faces)
