@@ -8,8 +8,8 @@ from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.perception.sdf import SdfTransform
 from sdfgcn.registry import RECORDERS
 from sdfgcn.task.camera import CameraModel
-from sdfgcn.task.scene import Detections, Scene
 from sdfgcn.task.explanation import Explanation
+from sdfgcn.task.scene import Detections, Scene
 from sdfgcn.task.world import Motion, PushResult, RobotLink, RobotShape, Truth
 
 SIZE = 96

@@ -51,10 +51,10 @@ from sdfgcn.errors import SdfgcnError
 from sdfgcn.task.world import Motion
 from sdfgcn.viz import Recorder
 from sdfgcn.viz.colors import STATUS_COLORS
+from sdfgcn.viz.rerun_decision import OF_A_PUSH, Decision, DecisionDrawing
 from sdfgcn.viz.rerun_drawing import arrow_2d, arrow_3d, edges_2d, markdown, transform
 from sdfgcn.viz.rerun_layout import MOTION, PUSHES, blueprint
 from sdfgcn.viz.rerun_scene import SceneDrawing
-from sdfgcn.viz.rerun_decision import OF_A_PUSH, Decision, DecisionDrawing
 from sdfgcn.viz.shapes import displacements, goal_distances, moments_to_draw, row_slots
 from sdfgcn.viz.words import outcome, push_sentence, push_words, row_name, summary
 
