@@ -47,7 +47,7 @@ def played(request) -> Iterator[tuple]:
 
 
 def test_rows_are_the_same(played):
-    _, (plain, recorded), states, _ = played
+    _env, (plain, recorded), states, _kept = played
     assert recorded.wall_s >= 0.0
     for key in plain.__dataclass_fields__.keys() - {"wall_s"}:
         assert getattr(plain, key) == getattr(recorded, key), key
@@ -56,7 +56,7 @@ def test_rows_are_the_same(played):
 
 def test_the_robot_is_where_the_push_began_and_ended(played):
     """The lowest point of its meshes is the fingertips, which the result of the push tells."""
-    _, _, _, kept = played
+    _env, _, _, kept = played
     shape = kept.episode.robot
     assert len(kept.steps) >= 1
     pushed = [step for step in kept.steps if step.push.result.status == "done"]
@@ -96,7 +96,7 @@ def test_the_objects_move_with_it(played):
 
 
 def test_an_explanation_is_what_the_agent_expects(played):
-    _, _, _, kept = played
+    _env, _, _, kept = played
     for step in kept.steps:
         told = step.explanation
         assert told.displacement.shape == (8, 2)

@@ -42,8 +42,9 @@ def test_without_truth_there_are_pictures_and_no_meshes(unknown):
     labels = unknown["/world/camera/masks", "SegmentationImage:buffer"][1][0]
     labels = np.array(labels, dtype=np.uint8).reshape(SIZE, SIZE)
     assert [labels[48, 24], labels[24, 48], labels[72, 72]] == [2, 3, 1]  # by row, from 1
-    assert unknown["/distance/0", "Scalars:scalars"] == {1: [1.0], 2: [1.0]}
-    assert ("/distance/2", "Scalars:scalars") not in unknown.values
+    assert unknown["/distance/0", "Scalars:scalars"] == {1: [1.0], 2: [1.0], 3: [1.0]}
+    # Seen at the start, and not matched any more after a push.
+    assert unknown["/distance/2", "Scalars:scalars"] == {1: [0.25]}
 
 
 def test_without_truth_words_go_by_row(unknown):

@@ -16,6 +16,7 @@ from sdfgcn.task.explanation import Explanation
 
 # Called with the observation of one env (no batch dimension); returns float32 [N * D], a preference
 # for each push in the order of `PushSpace`'s actions. Only the ranking of legal pushes matters.
+# An agent may also have a method `explain`, as `EpsilonGreedy` has.
 Agent = Callable[[TensorDictBase], Tensor]
 
 

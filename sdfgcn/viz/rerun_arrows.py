@@ -1,4 +1,4 @@
-"""Building blocks of a rerun recording: arrows for pushes and displacements."""
+"""Building blocks of a rerun recording: arrows for values and displacements."""
 
 from __future__ import annotations
 

@@ -126,7 +126,7 @@ def _world_view(arena: ArenaConfig) -> rrb.Spatial3DView:
     (x_low, x_high), (y_low, y_high) = arena.reach_x, arena.reach_y
     centre = np.array([(x_low + x_high) / 2, (y_low + y_high) / 2, 0.05])
     # From the right, as the arm stands at the near side.
-    eye = centre + (y_high - y_low) * np.array([0.95, -0.85, 0.85])
+    eye = centre + (y_high - y_low) * np.array([1.05, -0.95, 0.95])
     return rrb.Spatial3DView(
         origin="world",
         contents=["+ $origin/**", "- $origin/camera/**", "+ $origin/camera"],
