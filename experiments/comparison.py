@@ -1,10 +1,10 @@
 """The table of an experiment (`experiment=table1`, ...) from the folder of its sweep.
 
     python experiments/comparison.py table1 multirun/table1
-    python experiments/comparison.py table1 multirun/table1 --seeds 0 --readme README.md
+    python experiments/comparison.py table1 multirun/table1 --seeds 0 --page docs/results.md
 
 Writes `results/<name>.json` (every row), `results/<name>.md` and figures, `results/<name>_*.png`.
-With `--readme`, the table is also inserted between the lines `<!-- results:<name> -->` and
+With `--page`, the table is also inserted between the lines `<!-- results:<name> -->` and
 `<!-- /results -->` of that file. A missing method, seed or cell is an error; ask for less with
 `--methods` and `--seeds`, or leave out unfinished cells with `--partial`.
 """

@@ -3,7 +3,7 @@
     python experiments/perception.py                         every section
     python experiments/perception.py segmentation scenes=20
     python experiments/perception.py matching scenes=50 objects=household
-    python experiments/perception.py readme                  the tables' main rows into README.md
+    python experiments/perception.py page                    the main rows into docs/perception.md
 
 Each section writes `results/perception_<section>.json`, `.md` (the same as a table) and `.png`
 (examples and failures); see its module. `scenes` is the number of scenes per number of objects, by
@@ -22,7 +22,7 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 from collections.abc import Sequence
 
 import perception_matching
-import perception_readme
+import perception_page
 import perception_segmentation
 import torch
 from common import parse
@@ -37,13 +37,13 @@ def main(arguments: Sequence[str]) -> int:
     own, overrides = parse([a for a in arguments if "=" in a], {"scenes": 0})
     try:
         for name in names:
-            if name not in (*SECTIONS, "readme"):
-                sections = ", ".join([*SECTIONS, "readme"])
+            if name not in (*SECTIONS, "page"):
+                sections = ", ".join([*SECTIONS, "page"])
                 raise SdfgcnError(f"There is no section '{name}'; there are {sections}.")
         torch.set_num_threads(1)
         for name in names or SECTIONS:
-            if name == "readme":
-                perception_readme.run()
+            if name == "page":
+                perception_page.run()
             else:
                 section = SECTIONS[name]
                 section.run(overrides, own["scenes"] or section.SCENES)

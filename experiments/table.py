@@ -1,11 +1,11 @@
 """A table of finished runs beside the paper's figures.
 
     python experiments/table.py rule_based multirun/2026-01-31/12-00-00 outputs/2026-01-31/14-00-00
-    python experiments/table.py rule_based FOLDER... --readme README.md
+    python experiments/table.py rule_based FOLDER... --page docs/results.md
 
 Takes every run folder at or below the given folders and writes `results/<name>.json` (each run's
 `results.json`, its command line's overrides and the paper's figure) and `results/<name>.md`. With
-`--readme`, the table is also inserted between the lines `<!-- results:<name> -->` and
+`--page`, the table is also inserted between the lines `<!-- results:<name> -->` and
 `<!-- /results -->` of that file.
 """
 
@@ -95,7 +95,7 @@ def arguments_of(
     parser: argparse.ArgumentParser, given: Sequence[str] | None
 ) -> argparse.Namespace:
     """Parse the command line of a table: the parser's own arguments, and where files go."""
-    parser.add_argument("--readme", type=Path, help="a file with marker lines to fill as well")
+    parser.add_argument("--page", type=Path, help="a file with marker lines to fill as well")
     parser.add_argument("--results", type=Path, default=RESULTS, help="where the files go")
     parsed = parser.parse_args(given)
     if not re.fullmatch(r"\w[\w.-]*", parsed.name):
@@ -106,11 +106,11 @@ def arguments_of(
 def publish(
     given: argparse.Namespace, name: str, make: Callable[[], tuple[str, Callable[[Path], None]]]
 ) -> int:
-    """Write `<name>.md`, its companion files and the README's copy, and print the table.
+    """Write `<name>.md`, its companion files and the page's copy, and print the table.
 
     Args:
         given: What `arguments_of` returned.
-        name: Name of the files and of the README's marker.
+        name: Name of the files and of the page's marker.
         make: Returns the table, and a function that writes the other files into a folder.
 
     Returns:
@@ -118,15 +118,15 @@ def publish(
     """
     try:
         table, write_others = make()
-        readme = None
-        if given.readme:  # before anything is written
-            text = given.readme.read_text(encoding="utf-8")
-            readme = filled(text, name, table, given.readme)
+        page = None
+        if given.page:  # before anything is written
+            text = given.page.read_text(encoding="utf-8")
+            page = filled(text, name, table, given.page)
         given.results.mkdir(parents=True, exist_ok=True)
         write_others(given.results)
         write_text(given.results / f"{name}.md", table)
-        if readme is not None:
-            write_text(given.readme, readme)
+        if page is not None:
+            write_text(given.page, page)
     except (SdfgcnError, OSError) as error:
         print(error, file=sys.stderr)
         return 1
