@@ -74,7 +74,7 @@ def read_docstring(
     app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]
 ) -> None:
     """Docstrings are plain text with code in backticks and indented examples: make it so."""
-    own = what == "class" and (obj.__init__.__module__ or "").startswith("sdfgcn")
+    own = what == "class" and str(getattr(obj.__init__, "__module__", "")).startswith("sdfgcn")
     if what == "class" and not (own and any(lines)):
         lines[:] = [*class_docstring(obj).splitlines(), ""]
     read: list[str] = []

@@ -2,8 +2,8 @@
 
     python experiments/summary.py
 
-Rows are taken unchanged from `results/table1.json`, `table2.json` and `beyond.json`, as far as they
-are there, and put between the lines `<!-- results:summary -->` and `<!-- /results -->` of README.md.
+Rows are taken unchanged from `results/table1.json`, `table2.json` and `beyond.json`, if they exist,
+and put between the lines `<!-- results:summary -->` and `<!-- /results -->` of README.md.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ HEADS = (
     *("success rate", "paper", "pushes", "paper"),
 )
 NOTE = (
-    "Held-out objects, env paper. In brackets: 95% intervals over training seeds and scenes; of one "
-    "seed, they say nothing about others. Pushes are means over successful episodes. The paper's "
-    "figures are for ShapeNet models. Files: `experiments/results/{table1,table2,beyond}.json`."
+    "Held-out objects, env paper. In brackets: 95% intervals over training seeds and scenes; of "
+    "one seed, they say nothing about others. Pushes are means over successful episodes. The "
+    "paper's figures are for ShapeNet models. From"
 )
 
 
@@ -43,13 +43,14 @@ def run(page: Path = ROOT / "README.md", results: Path = RESULTS) -> None:
     Raises:
         SdfgcnError: The page lacks the markers.
     """
-    cells = []
-    for name, counts in SHOWN.items():
-        file = results / f"{name}.json"
-        if file.exists():
-            rows = json.loads(file.read_text(encoding="utf-8"))
-            cells += [_cells(name, row) for row in main_rows(name, rows, counts)]
-    content = f"{markdown_table(HEADS, cells)}\n\n{NOTE}\n"
+    cells: list[list[str]] = []
+    files = {name: results / f"{name}.json" for name in SHOWN}
+    files = {name: file for name, file in files.items() if file.exists()}
+    for name, file in files.items():
+        rows = json.loads(file.read_text(encoding="utf-8"))
+        cells += [_cells(name, row) for row in main_rows(name, rows, SHOWN[name])]
+    named = ", ".join(f"`experiments/results/{name}.json`" for name in files)
+    content = f"{markdown_table(HEADS, cells)}\n\n{NOTE} {named}.\n"
     write_text(page, filled(page.read_text(encoding="utf-8"), "summary", content, page))
 
 
