@@ -184,3 +184,12 @@ def test_the_readme_is_one_page() -> None:
 def test_the_readme_shows_the_default_run() -> None:
     first, *others = json.loads((ROOT / "experiments/results/default.json").read_text())
     assert f"```text\n{report(first, others)}\n```" in TEXTS[ROOT / "README.md"]
+
+
+def test_the_readme_names_every_option() -> None:
+    """Of the groups in its table."""
+    rows = re.findall(r"^\| `(\w+)` \| (.*) \|$", TEXTS[ROOT / "README.md"], re.MULTILINE)
+    assert "model" in dict(rows)
+    for group, cell in rows:
+        options = {path.stem for path in (CONF / group).glob("*.yaml")}
+        assert options <= set(re.findall(r"`(\w+)`", cell)), group
