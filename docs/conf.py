@@ -67,7 +67,8 @@ def fill_reference(app: Sphinx, page: str, source: list[str]) -> None:
     if REFERENCE in source[0]:
         for file in sdfgcn.conf_dir().rglob("*.yaml"):
             app.env.note_dependency(str(file))
-        source[0] = source[0].replace(REFERENCE, config_reference.text())
+        before, _, _ = source[0].partition(REFERENCE)  # after it stands what GitHub shows
+        source[0] = before + config_reference.text()
 
 
 def read_docstring(
@@ -121,11 +122,16 @@ def shorten(
     if what == "class" and arguments == "(*args, **kwargs)":
         own = [*inspect.signature(obj.__init__).parameters.values()][1:]
         arguments = str(inspect.Signature(own)).replace("'", "")
+        arguments = "" if arguments == "(*args, **kwargs)" else arguments  # of a protocol
     return ARRAY.sub(r"NDArray[\1]", arguments), ARRAY.sub(r"NDArray[\1]", result or "")
 
 
 def setup(app: Sphinx) -> None:
-    """Connect the functions above to Sphinx."""
+    """Connect the functions above to Sphinx; forget pages of modules that are gone."""
+    for page in (Path(__file__).parent / "_api").glob("*.rst"):
+        module = Path(sdfgcn.__file__).parents[1].joinpath(*page.stem.split("."))
+        if not (module.is_dir() or module.with_suffix(".py").is_file()):
+            page.unlink()
     app.connect("source-read", fill_reference)
     app.connect("autodoc-process-docstring", read_docstring, priority=400)  # before napoleon
     app.connect("autodoc-skip-member", skip)

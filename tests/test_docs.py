@@ -118,7 +118,7 @@ def commands() -> list[tuple[str, str]]:
 
 RUNS = [
     pytest.param(line, id=f"{page}: {line}")
-    for page, line in commands()
+    for line, page in {line: page for page, line in commands()}.items()
     if line.startswith(("python run.py", "sdfgcn ")) and "<name>" not in line
 ]
 
@@ -130,7 +130,8 @@ def test_overrides_of_a_command_exist(line: str) -> None:
     for override in OverridesParser.create().parse_overrides([w for w in words if w[0] != "-"]):
         if override.is_sweep_override():
             key = override.get_key_element()
-            choices.append([f"{key}={value}" for value in override.sweep_string_iterator()])
+            values = [f"{key}={value}" for value in override.sweep_string_iterator()]
+            choices.append(values if (CONF / key).is_dir() else values[:1])
         else:
             choices.append([override.input_line])
     for number in range(max(map(len, choices), default=1)):  # several values at once
