@@ -6,7 +6,7 @@
 
 Makes random legal pushes in this process, on one core, with a reset after each episode and after
 at most `episode=15` pushes, the length of a rule-based episode with three objects. Writes
-`results/benchmark.json` (or `benchmark_vision.json` and so on for other options): every repeat, and
+`benchmark.json` (or `benchmark_vision.json` and so on for other options): every repeat, and
 the least, median and most pushes per second. Rates are by wall clock, so use a quiet machine;
 `pushes_per_cpu_second` counts only this process's CPU time. `ms_per_push` splits the time of a
 push, with its share of the resets, into disjoint parts; `python` is the rest.
@@ -33,7 +33,7 @@ from typing import Any
 import mujoco
 import numpy as np
 import torch
-from common import file_name, load, parse, save
+from common import file_name, load, parse, run, save
 from tqdm import tqdm
 
 import sdfgcn.sim.world as sim_world
@@ -160,9 +160,11 @@ def result_name(config: Config) -> str:
 
 
 def main() -> None:
-    own, overrides = parse(sys.argv[1:], {"pushes": 400, "repeats": 3, "episode": 15})
+    given = parse(sys.argv[1:], {"pushes": 400, "repeats": 3, "episode": 15}, __doc__ or "")
+    own, overrides = given.own, given.overrides
     torch.set_num_threads(1)
     stopwatch = Stopwatch()
+    load(overrides)  # mistakes are told before anything is measured
     runs = [
         measure([*overrides, f"robot={robot}"], own["pushes"], own["episode"], stopwatch)
         for _ in range(own["repeats"])
@@ -173,6 +175,7 @@ def main() -> None:
         for robot in ROBOTS
     }
     save(
+        given.folder,
         result_name(load(overrides)),
         {
             "machine": {
@@ -191,4 +194,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run(main))

@@ -6,7 +6,7 @@
 One learner leaves double DQN to TorchRL's loss, which computes the values of all objects three
 times; the other asks for one object's value where that is enough (`sdfgcn/train/learner.py`). They
 take turns on one thread, and the order of the turns changes, so that other processes slow down
-both. Writes `results/benchmark_learner.json`: CPU time per update, and the ratio of each turn.
+both. Writes `benchmark_learner.json`: CPU time per update, and the ratio of each turn.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Any
 
 import torch
 from benchmark_models import observation
-from common import load, parse, save
+from common import load, parse, run, save
 from tensordict import TensorDict
 from tqdm import tqdm
 
@@ -88,7 +88,7 @@ def measure(config: Config, n_objects: int, repeats: int, updates: int) -> dict[
 
 
 def main() -> None:
-    own, overrides = parse(sys.argv[1:], {"repeats": 15, "updates": 3})
+    own, overrides, folder = parse(sys.argv[1:], {"repeats": 15, "updates": 3}, __doc__ or "")
     torch.set_num_threads(1)
     config = load(["model=sdfgcn", *overrides])
     rows = [measure(config, n_objects, **own) for n_objects in N_OBJECTS]
@@ -97,8 +97,8 @@ def main() -> None:
         "load_average": os.getloadavg()[0],
     }
     case = {"model": config.model.name, "batch": config.train.batch_size, **own}
-    save("benchmark_learner", {**case, "machine": machine, **provenance(), "rows": rows})
+    save(folder, "benchmark_learner", {**case, "machine": machine, **provenance(), "rows": rows})
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run(main))

@@ -6,7 +6,7 @@
 A double DQN update is a forward and a backward pass on the observations, and two forward passes on
 the next ones; here all compute all values, of which a learner asks for fewer
 (`benchmark_learner.py`). Times are the least CPU time of the repeats, since other processes only
-add to it. Writes `results/benchmark_models.json`. `bfloat16=1` also tries autocast, which takes ten
+add to it. Writes `benchmark_models.json`. `bfloat16=1` also tries autocast, which takes ten
 times as long on a processor that has to emulate it.
 """
 
@@ -24,7 +24,7 @@ from collections.abc import Callable
 from typing import Any
 
 import torch
-from common import load, parse, save
+from common import load, parse, run, save
 from tensordict import TensorDict
 from torch.utils.flop_counter import FlopCounterMode
 from tqdm import tqdm
@@ -106,7 +106,8 @@ def mflop_a_node(network: QNetwork, td: TensorDict, n_nodes: int) -> float:
 
 
 def main() -> None:
-    own, overrides = parse(sys.argv[1:], {"batch": 32, "n_objects": 3, "repeats": 5, "bfloat16": 0})
+    defaults = {"batch": 32, "n_objects": 3, "repeats": 5, "bfloat16": 0}
+    own, overrides, folder = parse(sys.argv[1:], defaults, __doc__ or "")
     torch.set_num_threads(1)
     rows = []
     for name, width, formats in tqdm(CASES, unit="network"):
@@ -133,8 +134,10 @@ def main() -> None:
     capability = torch.backends.cpu.get_cpu_capability()
     machine = {"processor": platform.machine(), "capability": capability, "threads": 1}
     versions = {"torch": torch.__version__, "python": platform.python_version()}
-    save("benchmark_models", {**own, "machine": machine, "versions": versions, "rows": rows})
+    save(
+        folder, "benchmark_models", {**own, "machine": machine, "versions": versions, "rows": rows}
+    )
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run(main))

@@ -3,7 +3,7 @@
     python experiments/benchmark_training.py              sync; async with 1, 2 and 3 workers
     python experiments/benchmark_training.py seconds=120 model=sdf_cnn
 
-Trains from scratch in each case and writes `results/benchmark_training.json`. Rates are by wall
+Trains from scratch in each case and writes `benchmark_training.json`. Rates are by wall
 clock from the first update on, so use a quiet machine. Each row has the updates per push, since
 collector and learner wait for each other when one is far ahead (`train.utd_ratio`,
 `train.max_utd_ratio`).
@@ -22,9 +22,10 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from common import load, parse, save
+from common import load, parse, run, save
 from learning_curve import read
 
+from sdfgcn.errors import SdfgcnError
 from sdfgcn.loggers.files import NoLogger
 from sdfgcn.provenance import provenance
 from sdfgcn.train.training import q_network, train
@@ -46,7 +47,7 @@ def measure(overrides: list[str], collector: str, workers: int, seconds: int) ->
         train(config, Path(folder), NoLogger(config.logger, Path(folder)), q_network)
         rows = [row for row in read(Path(folder)) if row["updates"] > 0]
     if len(rows) < 2:
-        raise SystemExit(
+        raise SdfgcnError(
             f"seconds={seconds} is too short: {len(rows)} looks at the clock after the first "
             "update; twice the time would do."
         )
@@ -65,11 +66,12 @@ def measure(overrides: list[str], collector: str, workers: int, seconds: int) ->
 
 
 def main() -> None:
-    own, overrides = parse(sys.argv[1:], {"seconds": 90})
+    own, overrides, folder = parse(sys.argv[1:], {"seconds": 90}, __doc__ or "")
+    load(["model=sdfgcn", *overrides])  # mistakes are told before anything is measured
     rows = [measure(overrides, *case, own["seconds"]) for case in CASES]
     machine = {"cores": os.cpu_count(), "load_average": os.getloadavg()[0]}
-    save("benchmark_training", {"machine": machine, **provenance(), "rows": rows})
+    save(folder, "benchmark_training", {"machine": machine, **provenance(), "rows": rows})
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run(main))

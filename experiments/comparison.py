@@ -1,12 +1,12 @@
 """The table of an experiment (`experiment=table1`, ...) from the folder of its sweep.
 
     python experiments/comparison.py table1 multirun/table1
-    python experiments/comparison.py table1 multirun/table1 --seeds 0 --page docs/results.md
+    python experiments/comparison.py table1 multirun/table1 --publish
+    python experiments/comparison.py table1 multirun/table1 --seeds 0 --partial
 
-Writes `results/<name>.json` (every row), `results/<name>.md` and figures, `results/<name>_*.png`.
-With `--page`, the table is also inserted between the lines `<!-- results:<name> -->` and
-`<!-- /results -->` of that file. A missing method, seed or cell is an error; ask for less with
-`--methods` and `--seeds`, or leave out unfinished cells with `--partial`.
+Writes `<name>.json` (every row), `<name>.md` and figures, `<name>_*.png`, to `outputs/experiments`;
+`--publish` and `--page` are as in `table.py`; the first renews the README's table, too. A missing method, seed or cell is an error; ask for
+less with `--methods` and `--seeds`, or leave out unfinished cells with `--partial`.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from common import load
+import summary
+from common import load, run
 from table import arguments_of, publish
 
 from sdfgcn.comparison.plan import Plan
@@ -32,6 +33,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--seeds", nargs="+", type=int, help="the training seeds; all by default")
     parser.add_argument("--partial", action="store_true", help="leave out unfinished cells")
     given = arguments_of(parser, arguments)
+    return run(lambda: _table(given))
+
+
+def _table(given: argparse.Namespace) -> int:
     config = load([f"experiment={given.name}"])
     plan = Plan(config.experiment, config.budget, ())
     methods = given.methods or list(config.experiment.methods)
@@ -48,7 +53,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
         return table, write
 
-    return publish(given, given.name, make)
+    failed = publish(given, given.name, make)
+    if given.publish and not (failed or given.results) and given.name in summary.SHOWN:
+        summary.publish()
+    return failed
 
 
 if __name__ == "__main__":

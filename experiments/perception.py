@@ -3,9 +3,10 @@
     python experiments/perception.py                         every section
     python experiments/perception.py segmentation scenes=20
     python experiments/perception.py matching scenes=50 objects=household
-    python experiments/perception.py page                    the main rows into docs/perception.md
+    python experiments/perception.py page                    prints the tables' main rows
+    python experiments/perception.py page --publish          puts them into docs/perception.md
 
-Each section writes `results/perception_<section>.json`, `.md` (the same as a table) and `.png`
+Each section writes `perception_<section>.json`, `.md` (the same as a table) and `.png`
 (examples and failures); see its module. `scenes` is the number of scenes per number of objects, by
 default 100 for segmentation and 500 for matching.
 """
@@ -25,7 +26,7 @@ import perception_matching
 import perception_page
 import perception_segmentation
 import torch
-from common import parse
+from common import PUBLISH, parse, run
 
 from sdfgcn.errors import SdfgcnError
 
@@ -33,24 +34,26 @@ SECTIONS = {"segmentation": perception_segmentation, "matching": perception_matc
 
 
 def main(arguments: Sequence[str]) -> int:
-    names = [argument for argument in arguments if "=" not in argument]
-    own, overrides = parse([a for a in arguments if "=" in a], {"scenes": 0})
-    try:
-        for name in names:
-            if name not in (*SECTIONS, "page"):
-                sections = ", ".join([*SECTIONS, "page"])
-                raise SdfgcnError(f"There is no section '{name}'; there are {sections}.")
-        torch.set_num_threads(1)
-        for name in names or SECTIONS:
-            if name == "page":
-                perception_page.run()
-            else:
-                section = SECTIONS[name]
-                section.run(overrides, own["scenes"] or section.SCENES)
-    except SdfgcnError as error:
-        print(error, file=sys.stderr)
-        return 1
-    return 0
+    return run(lambda: _run(arguments))
+
+
+def _run(arguments: Sequence[str]) -> None:
+    names = [each for each in arguments if "=" not in each and not each.startswith("-")]
+    given = parse([each for each in arguments if each not in names], {"scenes": 0}, __doc__ or "")
+    for name in names:
+        if name not in (*SECTIONS, "page"):
+            sections = ", ".join([*SECTIONS, "page"])
+            raise SdfgcnError(f"There is no section '{name}'; there are {sections}.")
+    torch.set_num_threads(1)
+    for name in names or SECTIONS:
+        if name != "page":
+            section = SECTIONS[name]
+            given.folder.mkdir(parents=True, exist_ok=True)
+            section.run(given.overrides, given.own["scenes"] or section.SCENES, given.folder)
+        elif PUBLISH in arguments:
+            perception_page.run()
+        else:
+            print(perception_page.tables())
 
 
 if __name__ == "__main__":

@@ -2,7 +2,7 @@
 
 Uses held-out objects, true masks and the env's own pictures. Each object is turned and moved at
 random. Untextured objects draw their colours from one palette with replacement, so two may have the
-same. Writes `results/perception_matching.json`, the same as a table in `.md`, and in `.png` some
+same. Writes `perception_matching.json`, the same as a table in `.md`, and in `.png` some
 scenes with the most objects and the failures, start and goal side by side: both ends of a match are
 outlined in one colour, and framed in red if it is wrong. Other objects, splits and encoders get
 their own files (`perception_matching_household`). An interrupted run resumes with the next number
@@ -16,10 +16,11 @@ import time
 from collections.abc import Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import RESULTS, file_name, load, save
+from common import file_name, load, save
 from numpy.typing import NDArray
 from pictures import Picture, outlined, save_png, sheet, titled
 from tqdm import tqdm
@@ -76,23 +77,23 @@ class Scene:
     expected: NDArray[np.int64]
 
 
-def run(overrides: list[str], scenes: int) -> None:
+def run(overrides: list[str], scenes: int, folder: Path) -> None:
     """Match `scenes` scenes of each number of objects; write the results after each number."""
     if not any(override.startswith("robot=") for override in overrides):
         overrides = [*overrides, "robot=gripper"]  # not in the picture, and faster to build
     config = load([*overrides, "perception=oracle"])
     matcher = Matcher(config.env.perception.encoder)
     head, name = header(config, scenes, overrides), result_name(config)
-    rows = finished(name, head)
+    rows = finished(folder, name, head)
     with closing(Scenes(config.env, config.seed)) as drawn:
         for n in tqdm(N_OBJECTS[len(rows) :], unit="count"):
             rows.append(measure(drawn, matcher, n, scenes))
-            write_json(RESULTS / f"{name}.json", {**head, "rows": rows})
+            write_json(folder / f"{name}.json", {**head, "rows": rows})
             share = rows[-1]["matcher"]["scenes_right"]
             tqdm.write(f"{n} objects: {percent(share, digits=1)} of the scenes wholly right")
-        save(name, {**head, "rows": rows})
-        write_text(RESULTS / f"{name}.md", markdown(rows))
-        save_png(name, figure(drawn, matcher, rows))
+        save(folder, name, {**head, "rows": rows})
+        write_text(folder / f"{name}.md", markdown(rows))
+        save_png(folder / f"{name}.png", figure(drawn, matcher, rows))
 
 
 class Scenes:
@@ -216,9 +217,9 @@ def result_name(config: Config) -> str:
     return file_name("perception_matching", parts, USUAL)
 
 
-def finished(name: str, head: dict[str, Any]) -> list[Row]:
+def finished(folder: Path, name: str, head: dict[str, Any]) -> list[Row]:
     """Rows already written by an interrupted run of the same commit and config."""
-    path = RESULTS / f"{name}.json"
+    path = folder / f"{name}.json"
     if not path.exists():
         return []
     written = json.loads(path.read_text(encoding="utf-8"))

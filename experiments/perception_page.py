@@ -35,6 +35,14 @@ def run(page: Path = ROOT / "docs" / "perception.md", results: Path = RESULTS) -
     write_text(page, text)
 
 
+def tables(results: Path = RESULTS) -> str:
+    """Both tables, to look at."""
+    made = (
+        table(_rows(results / f"perception_{name}.json", name)) for name, table in TABLES.items()
+    )
+    return "\n".join(made)
+
+
 def segmentation(rows: Sequence[Row]) -> str:
     """One row per catalogue and look; overlap and boundary over all numbers of objects."""
     lines = [

@@ -1,7 +1,7 @@
 """The segmentation section of `perception.py`: scores the masks found against the renderer's.
 
-Besides the JSON, writes `results/perception_segmentation.md`, the same as a table, and
-`results/perception_segmentation.png`: pictures, true masks and found masks of the first and the
+Besides the JSON, writes `perception_segmentation.md`, the same as a table, and
+`perception_segmentation.png`: pictures, true masks and found masks of the first and the
 worst scenes.
 """
 
@@ -9,14 +9,14 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from common import RESULTS, load, save
+from common import load, save
 from numpy.typing import NDArray
-from pictures import enlarged, painted, save_png, sheet
+from pictures import Picture, enlarged, painted, save_png, sheet, titled
 from tqdm import tqdm
 
 from sdfgcn.config import Config
@@ -38,7 +38,7 @@ CATALOGUES = ("scanned", "household")
 Row = tuple[Example, NDArray[np.bool_], MaskScores]
 
 
-def run(overrides: list[str], scenes: int) -> None:
+def run(overrides: list[str], scenes: int, folder: Path) -> None:
     """Score every catalogue in every look, with `scenes` scenes per number of objects."""
     table, rows_of, seconds = [], {}, []
     for objects in CATALOGUES:
@@ -72,9 +72,9 @@ def run(overrides: list[str], scenes: int) -> None:
         **provenance(),
         "rows": table,
     }
-    save("perception_segmentation", result)
-    write_text(RESULTS / "perception_segmentation.md", markdown(result["rows"]))
-    draw([row for rows in rows_of.values() for row in examples(rows)])
+    save(folder, "perception_segmentation", result)
+    write_text(folder / "perception_segmentation.md", markdown(result["rows"]))
+    save_png(folder / "perception_segmentation.png", figure(rows_of))
 
 
 def counted(scores: Sequence[MaskScores]) -> tuple[float, float]:
@@ -120,10 +120,19 @@ def examples(rows: Sequence[Row], each: int = 6) -> list[Row]:
     return [*most[:each], *sorted(rows, key=lambda row: row[2].overlap.f)[:each]]
 
 
-def draw(rows: Sequence[Row], columns: int = 12, scale: int = 2) -> None:
-    """Draw picture, true masks and found masks of each scene, one above the other."""
-    strips = [
-        np.vstack([view.pixels, painted(view.pixels, view.masks), painted(view.pixels, masks)])
-        for view, masks, _ in rows
-    ]
-    save_png("perception_segmentation", enlarged(sheet(strips, columns), scale))
+def figure(rows_of: Mapping[tuple[str, str], Sequence[Row]], scale: int = 2) -> Picture:
+    """Picture, true masks and found masks of each example, one above the other.
+
+    A line for each catalogue and look: the first scenes with the most objects, then the worst.
+    """
+    lines = []
+    for (objects, look), rows in rows_of.items():
+        tiles = []
+        for view, masks, scores in examples(rows):
+            looks = (view.pixels, painted(view.pixels, view.masks), painted(view.pixels, masks))
+            title = f"{view.n_objects} objects, F {scores.overlap.f:.2f}"
+            tiles.append(titled(enlarged(np.vstack(looks), scale), title))
+        line = sheet(tiles, columns=len(tiles), gap=2)
+        about = "picture, true masks, found masks; first scenes, then the worst overlap F"
+        lines.append(titled(line, f"{objects}, {look} light and table: {about}"))
+    return sheet(lines, columns=1)

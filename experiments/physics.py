@@ -6,7 +6,7 @@
     python experiments/physics.py compare=60             the same pushes by both robots
     python experiments/physics.py timesteps=400          the same pushes with other time steps
 
-Writes `results/physics_<env>_<objects>_<robot>.json`, or the same with `compare` or `timesteps` in
+Writes `physics_<env>_<objects>_<robot>.json`, or the same with `compare` or `timesteps` in
 the robot's place.
 """
 
@@ -24,7 +24,7 @@ os.environ.setdefault("MUJOCO_GL", "egl")
 
 import mujoco
 import numpy as np
-from common import load, parse, save
+from common import load, parse, run, save
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from scipy.stats import ks_2samp
@@ -311,7 +311,8 @@ def compare(overrides: list[str], pushes: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    own, overrides = parse(sys.argv[1:], {"pushes": 2000, "compare": 0, "timesteps": 0})
+    defaults = {"pushes": 2000, "compare": 0, "timesteps": 0}
+    own, overrides, folder = parse(sys.argv[1:], defaults, __doc__ or "")
     if not any(override.startswith("robot=") for override in overrides):
         overrides.append("robot=gripper")
     if own["compare"]:
@@ -322,8 +323,8 @@ def main() -> None:
     else:
         result = survey(overrides, own["pushes"])
         last = result["robot"]
-    save(f"physics_{result['env']}_{result['objects']}_{last}", result)
+    save(folder, f"physics_{result['env']}_{result['objects']}_{last}", result)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(run(main))

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
-from common import RESULTS
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 from scipy import ndimage
@@ -87,8 +87,7 @@ def sheet(tiles: Sequence[Picture], columns: int, gap: int = 0) -> Picture:
     return paper
 
 
-def save_png(name: str, picture: Picture) -> None:
-    """Write `results/<name>.png` atomically."""
-    RESULTS.mkdir(parents=True, exist_ok=True)
-    with replaced(RESULTS / f"{name}.png") as part:
+def save_png(file: Path, picture: Picture) -> None:
+    """Write a picture atomically."""
+    with replaced(file) as part:
         Image.fromarray(picture).save(part, optimize=True)

@@ -2,8 +2,9 @@
 
     python experiments/release.py sdfgcn multirun/trainings/sdfgcn_contest/seed_0 --table table1
 
-Copies the policy to `sdfgcn/weights/<name>/`, so that `checkpoint=<name>` runs it, and writes its
-card from `policy.json`, `train.csv` and the rows of the method in `results/<table>.json`.
+Copies the policy to `outputs/experiments/weights/<name>/` and writes its card from `policy.json`,
+`train.csv` and the rows of the method in `experiments/results/<table>.json`. With `--publish` both
+go to `sdfgcn/weights/<name>/`, so that `checkpoint=<name>` runs it.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from common import RESULTS
+from common import PUBLISH, RESULTS, SCRATCH
 
 from sdfgcn.agents.policy import ABOUT, RELEASED, WEIGHTS, find_policy, read_about
 from sdfgcn.comparison.table import CONDITIONS
@@ -113,6 +114,10 @@ def _results(rows: Sequence[dict]) -> str:
     )
 
 
+def _weights_folder(publish: bool) -> Path:
+    return RELEASED if publish else SCRATCH / "weights"
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description="Put a trained network into the package.")
     parser.add_argument("name", help="the name to load it by")
@@ -122,7 +127,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "--table", nargs="+", required=True, help="tables in results/ with its rows"
     )
     parser.add_argument("--results", type=Path, default=RESULTS, help="where the tables are")
-    parser.add_argument("--weights", type=Path, default=RELEASED, help="where the weights go")
+    parser.add_argument("--weights", type=Path, help="another folder for the weights")
+    parser.add_argument(
+        PUBLISH, action="store_true", help="write to sdfgcn/weights, which git tracks"
+    )
     given = parser.parse_args(arguments)
     try:
         policy = find_policy(given.training)
@@ -136,7 +144,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if not rows:
             raise SdfgcnError(f"{', '.join(map(str, tables))} have no rows of {method}.")
         text = card(given.name, about, read_curve(given.training / "train.csv"), rows)
-        folder = given.weights / given.name
+        folder = (given.weights or _weights_folder(given.publish)) / given.name
         folder.mkdir(parents=True, exist_ok=True)
         for file in (WEIGHTS, ABOUT):
             shutil.copyfile(policy / file, folder / file)
@@ -145,6 +153,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(error, file=sys.stderr)
         return 1
     print(text, end="")
+    print(f"Wrote {folder}.", file=sys.stderr)
     return 0
 
 

@@ -1,9 +1,10 @@
 """The short table of the README: the main rows of the experiments' results.
 
-    python experiments/summary.py
+    python experiments/summary.py              prints it
+    python experiments/summary.py --publish    puts it into README.md
 
-Rows are taken unchanged from `results/table1.json`, `table2.json` and `beyond.json`, if they exist,
-and put between the lines `<!-- results:summary -->` and `<!-- /results -->` of README.md.
+Rows are taken unchanged from `results/table1.json`, `table2.json` and `beyond.json`, if they exist.
+Publishing one of these tables (`comparison.py --publish`) publishes this one, too.
 """
 
 from __future__ import annotations
@@ -14,11 +15,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from common import RESULTS, ROOT, load
+from common import PUBLISH, RESULTS, ROOT, load, parse, run
 from table import filled
 
 from sdfgcn.comparison.table import headline
-from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.report import decimal, markdown_table, percent
 from sdfgcn.files import write_text
 
@@ -37,12 +37,17 @@ NOTE = (
 )
 
 
-def run(page: Path = ROOT / "README.md", results: Path = RESULTS) -> None:
+def publish(page: Path = ROOT / "README.md", results: Path = RESULTS) -> None:
     """Put the table between the page's marker lines.
 
     Raises:
         SdfgcnError: The page lacks the markers.
     """
+    write_text(page, filled(page.read_text(encoding="utf-8"), "summary", table(results), page))
+
+
+def table(results: Path = RESULTS) -> str:
+    """The table, and what its columns mean."""
     cells: list[list[str]] = []
     files = {name: results / f"{name}.json" for name in SHOWN}
     files = {name: file for name, file in files.items() if file.exists()}
@@ -50,8 +55,7 @@ def run(page: Path = ROOT / "README.md", results: Path = RESULTS) -> None:
         rows = json.loads(file.read_text(encoding="utf-8"))
         cells += [_cells(name, row) for row in main_rows(name, rows, SHOWN[name])]
     named = ", ".join(f"`experiments/results/{name}.json`" for name in files)
-    content = f"{markdown_table(HEADS, cells)}\n\n{NOTE} {named}.\n"
-    write_text(page, filled(page.read_text(encoding="utf-8"), "summary", content, page))
+    return f"{markdown_table(HEADS, cells)}\n\n{NOTE} {named}.\n"
 
 
 def main_rows(name: str, rows: Sequence[Row], counts: Sequence[int]) -> list[Row]:
@@ -75,9 +79,13 @@ def _cells(name: str, row: Row) -> list[str]:
     return cells
 
 
+def main(arguments: Sequence[str]) -> None:
+    parse(arguments, {}, __doc__ or "")
+    if PUBLISH in arguments:
+        publish()
+    else:
+        print(table(), end="")
+
+
 if __name__ == "__main__":
-    try:
-        run()
-    except SdfgcnError as error:
-        print(error, file=sys.stderr)
-        sys.exit(1)
+    sys.exit(run(lambda: main(sys.argv[1:])))

@@ -14,34 +14,33 @@ import os
 import re
 import sys
 import warnings
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, ClassVar, TextIO
+from typing import Any, TextIO
 
 import hydra
-import yaml
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.errors import HydraException, MissingConfigException, OverrideParseException
 from hydra.experimental.callback import Callback
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, open_dict
 from omegaconf.errors import ConfigAttributeError, ConfigKeyError, OmegaConfBaseException
 
-from sdfgcn.comparison import overview
-from sdfgcn.comparison.plan import Plan, check, given
-from sdfgcn.compose import component_dirs, conf_dir, register_search_path
-from sdfgcn.config import Config
+from sdfgcn.callbacks import how_to_go_on
+from sdfgcn.comparison.sweep import Comparison, plan_of_job
+from sdfgcn.compose import conf_dir, register_search_path
+from sdfgcn.config import Config, QNetworkConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.report import text
 from sdfgcn.experiment import run_experiment
+from sdfgcn.help import all_keys, help_text
 from sdfgcn.opengl import check_opengl
 from sdfgcn.run_folder import RunFolder
 from sdfgcn.validation import typed
 
 _FULL_ERROR = "HYDRA_FULL_ERROR"
+_TRAINING = ("train", "budget", "collector", "curriculum", "her", "augment")  # groups
 _DISK_FULL = (errno.ENOSPC, errno.EDQUOT)
 
 
@@ -51,6 +50,9 @@ def main() -> None:
     Raises:
         SystemExit: See `run_plainly`.
     """
+    if {"-h", "--help"} & set(sys.argv[1:]):  # Hydra's own has no comments, and composes first
+        print(help_text())
+        return
     register_search_path()
     run_plainly(_command)
 
@@ -71,15 +73,31 @@ def run(cfg: DictConfig) -> float | None:
         _run_in_comparison(cfg, job)
         return None
     folder = Path(job.runtime.output_dir)
-    results = _evaluated(cfg, folder, job)
+    results = _evaluated(cfg, folder, job, tell=True)
     beside = [_evaluated(other, folder / "baseline", job) for other in _baseline(cfg)]
     print(f"{text(results, beside)}\nRun folder: {folder}")
     return results["success_rate"]
 
 
-def _evaluated(cfg: DictConfig, path: Path, job: Any) -> dict[str, Any]:
+def _evaluated(cfg: DictConfig, path: Path, job: Any, tell: bool = False) -> dict[str, Any]:
     with RunFolder(path, cfg, job.overrides.task) as folder:
-        return run_experiment(_checked(cfg), folder)
+        config = _checked(cfg)
+        if tell and (told := without_effect(config, job.overrides.task)):
+            logging.getLogger(__name__).warning(told)
+        return run_experiment(config, folder)
+
+
+def without_effect(config: Config, overrides: Sequence[str]) -> str | None:
+    """Say which overrides of a run are for training, if nothing is trained; None if none are."""
+    if isinstance(config.model, QNetworkConfig) and config.checkpoint is None:
+        return None
+    keys = {override: override.lstrip("+~").partition("=")[0] for override in overrides}
+    idle = [
+        override for override, key in keys.items() if key.startswith(_TRAINING) or "@train." in key
+    ]
+    if config.runtime.device != "cpu":
+        idle.append(f"runtime.device={config.runtime.device}")
+    return f"Without effect, as nothing is trained: {', '.join(idle)}." if idle else None
 
 
 def _baseline(cfg: DictConfig) -> list[DictConfig]:
@@ -122,9 +140,10 @@ def run_plainly(main: Callable[[], Any]) -> None:
     try:
         with contextlib.redirect_stderr(_WithoutPreamble(sys.stderr)):
             main()
-    except KeyboardInterrupt:
-        sys.exit(130)
-    except Exception as error:
+    except (KeyboardInterrupt, Exception) as error:
+        if _was_interrupted(error):
+            print(how_to_go_on(), file=sys.stderr)
+            sys.exit(130)
         sentence = to_sentence(error)
         if sentence is None:
             raise
@@ -161,73 +180,7 @@ def _run_in_comparison(cfg: DictConfig, job: Any) -> None:
             "experiments are asked for at once; run one experiment a call: "
             f"python run.py -m experiment={name}."
         )
-    run_job(_plan(cfg, job), method, config.seed, Path(job.runtime.output_dir))
-
-
-def _plan(cfg: DictConfig, job: Any) -> Plan:
-    config = typed(cfg)
-    trainings = config.experiment.trainings
-    if Path.cwd() != Path(job.runtime.cwd):  # where a launcher starts its processes elsewhere
-        trainings = str(Path(job.runtime.cwd) / trainings)
-    experiment = replace(config.experiment, trainings=trainings)
-    check(experiment)
-    return Plan(experiment, config.budget, given(job.overrides.task, experiment))
-
-
-class Comparison(Callback):
-    """Shows how far the sweep of an experiment is, and makes its report at the end."""
-
-    # Launchers pickle the callbacks, so what cannot be pickled is kept here.
-    running: ClassVar[Sweep | None] = None
-    finished: ClassVar[Sweep | None] = None  # if no job failed
-
-    def on_multirun_start(self, config: DictConfig, **kwargs: Any) -> None:
-        """Start the overview."""
-        Comparison.running = Sweep(config)
-
-    def on_multirun_end(self, config: DictConfig, **kwargs: Any) -> None:
-        """Stop the overview."""
-        if Comparison.running is not None:
-            Comparison.running.overview.stop()
-        Comparison.finished = Comparison.running
-
-
-class Sweep:
-    """The sweep of an experiment, in the process that launches its jobs."""
-
-    def __init__(self, config: DictConfig) -> None:
-        """Start its overview; `config` has the key `hydra`."""
-        job = config.hydra
-        with open_dict(job):  # not set before the jobs
-            job.runtime.cwd = str(Path.cwd())
-        own = [str(key) for key in config if key != "hydra"]
-        self._plan = _plan(OmegaConf.masked_copy(config, own), job)
-        self._folder = Path(job.sweep.dir)
-        self._methods = _asked(job, "experiment.method")
-        self._seeds = [int(seed) for seed in _asked(job, "seed")]
-        every = overview.jobs(self._plan, self._folder, self._methods, self._seeds)
-        os.environ["TQDM_DISABLE"] = "1"  # one line for all jobs instead of one for each
-        self.overview = overview.Overview(self._plan, every)
-        self.overview.start()
-
-    def report(self) -> str:
-        """Write the table, figures and rows into the sweep's folder; return the table."""
-        from sdfgcn.comparison.report import write_report
-
-        table = write_report(self._plan, self._folder, self._methods, self._seeds, self._folder)
-        return f"{table}\nTable, figures and rows: {self._folder}"
-
-
-def _asked(job: DictConfig, key: str) -> list[str]:
-    """The values that a sweep gives to a key: the experiment's, or those of the command line."""
-    values = str(job.sweeper.params[key])
-    for override in job.overrides.task:
-        name, _, value = override.partition("=")
-        values = value if name == key else values
-    parsed = OverridesParser.create().parse_override(f"{key}={values}")
-    if parsed.is_sweep_override():
-        return [str(value) for value in parsed.sweep_string_iterator()]
-    return [str(parsed.value())]
+    run_job(plan_of_job(cfg, job), method, config.seed, Path(job.runtime.output_dir))
 
 
 class LogFailedJob(Callback):
@@ -254,6 +207,13 @@ class _WithoutPreamble:
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stderr, name)
+
+
+def _was_interrupted(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: OmegaConf raises another one over it."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__context__
+    return error is not None
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:
@@ -290,7 +250,7 @@ def _tell_config_error(error: BaseException) -> str:
 def _hint(asked: str) -> str:
     """Suggest the keys or the group that was probably meant."""
     meant: dict[str, list[str]] = {}
-    keys = _all_keys()
+    keys = all_keys()
     if asked in keys:
         return "it belongs to another option of its group."
     for key in keys:
@@ -304,26 +264,6 @@ def _hint(asked: str) -> str:
     depth = min(key.count(".") for key in meant[close[0]])
     nearest = sorted(key for key in meant[close[0]] if key.count(".") == depth)
     return f"did you mean {' or '.join(nearest)}?"
-
-
-def _all_keys() -> set[str]:
-    """All keys of all options."""
-    keys = set(_keys(yaml.safe_load((conf_dir() / "config.yaml").read_text(encoding="utf-8"))))
-    for folder in (conf_dir(), *component_dirs()):
-        for file in folder.glob("*/*.yaml"):
-            text = file.read_text(encoding="utf-8")
-            header = re.match(r"# @package (\S+)", text)
-            package = header[1] if header else file.parent.name
-            keys.update(_keys(yaml.safe_load(text), "" if package == "_global_" else f"{package}."))
-    return keys
-
-
-def _keys(values: dict[str, Any], prefix: str = "") -> Iterator[str]:
-    for key, value in values.items():
-        if isinstance(value, dict):
-            yield from _keys(value, f"{prefix}{key}.")
-        elif key != "defaults":
-            yield f"{prefix}{key}"
 
 
 def _gist(error: BaseException) -> str:

@@ -1,10 +1,11 @@
 """What `experiments/` works out besides running things: scenes, tables, figures, file names."""
 
 import json
+import runpy
 import sys
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
@@ -56,6 +57,56 @@ def test_a_result_is_named_after_what_is_unusual() -> None:
     assert common.file_name("benchmark", ("oracle", "scanned"), usual) == "benchmark"
     name = common.file_name("benchmark", ("vision", "household"), usual)
     assert name == "benchmark_vision_household"
+
+
+def test_the_command_line_of_an_experiment(capsys: pytest.CaptureFixture[str]) -> None:
+    own = {"pushes": 400, "repeats": 3}
+    given = common.parse(["pushes=7", "robot=gripper", "--publish"], own, "About.")
+    assert given == ({"pushes": 7, "repeats": 3}, ["robot=gripper"], common.RESULTS)
+    assert common.parse([], own, "About.").folder == ROOT / "outputs" / "experiments"
+    with pytest.raises(SystemExit) as ended:
+        common.parse(["--help"], own, "About.")
+    assert ended.value.code == 0
+    assert capsys.readouterr().out.startswith("About.\n\n  pushes=400 repeats=3\n  --publish")
+
+
+@pytest.mark.parametrize(
+    ("argument", "told"),
+    [
+        ("pushes=many", "pushes is 'many', but must be a whole number from 0 on."),
+        ("--publsh", "There is no option --publsh; there are --help and --publish."),
+        ("n_objects=99", "n_objects is 99, but must lie between 1 and env.max_objects (8)."),
+        (
+            "objects=rocks",
+            "There is no objects=rocks: objects can be household, scanned, shapenet.",
+        ),
+    ],
+)
+def test_a_mistake_is_one_sentence(
+    argument: str, told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert (
+        common.run(lambda: common.load(common.parse([argument], {"pushes": 1}, "").overrides)) == 1
+    )
+    assert capsys.readouterr().err == told + "\n"
+
+
+COMMANDS = sorted(
+    path for path in (ROOT / "experiments").glob("*.py") if "__main__" in path.read_text()
+)
+
+
+@pytest.mark.parametrize("path", COMMANDS, ids=lambda path: path.stem)
+def test_every_command_has_help(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also what it says of `--publish`, if it writes results."""
+    sys_argv, sys.argv = sys.argv, [str(path), "--help"]
+    try:
+        with pytest.raises(SystemExit) as ended:
+            runpy.run_path(str(path), run_name="__main__")
+    finally:
+        sys.argv = sys_argv
+    assert not ended.value.code
+    assert "--publish" in capsys.readouterr().out
 
 
 # ---------------------------------------------------------------------- physics
@@ -126,15 +177,16 @@ def test_a_scene_does_not_depend_on_those_before_it() -> None:
     assert matching.mean_color(again.goal)[0] == pytest.approx(color)
 
 
-def test_goes_on_only_with_its_own_rows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(matching, "RESULTS", tmp_path)
+def test_goes_on_only_with_its_own_rows(tmp_path: Path) -> None:
     head = {"seed": 0, "scenes": 10, "git": {"commit": "a", "dirty": False}}
-    assert matching.finished("mine", head) == []
+    assert matching.finished(tmp_path, "mine", head) == []
     written = {**head, "git": {"commit": "a", "dirty": True}, "rows": [row(2), row(3)]}
     (tmp_path / "mine.json").write_text(json.dumps(written))
-    assert matching.finished("mine", head) == written["rows"]
-    assert matching.finished("mine", {**head, "seed": 1}) == []
-    assert matching.finished("mine", {**head, "git": {"commit": "b", "dirty": False}}) == []
+    assert matching.finished(tmp_path, "mine", head) == written["rows"]
+    assert matching.finished(tmp_path, "mine", {**head, "seed": 1}) == []
+    assert (
+        matching.finished(tmp_path, "mine", {**head, "git": {"commit": "b", "dirty": False}}) == []
+    )
 
 
 def test_the_figure_shows_the_hardest_scenes_and_all_failures() -> None:
@@ -223,11 +275,15 @@ def test_main_rows() -> None:
     )
 
 
-@pytest.mark.parametrize(("module", "name"), [(page, "docs/perception.md"), (summary, "README.md")])
-def test_a_page_says_what_the_results_say(module: ModuleType, name: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("publish", "name"), [(page.run, "docs/perception.md"), (summary.publish, "README.md")]
+)
+def test_a_page_says_what_the_results_say(
+    publish: Callable[[Path], None], name: str, tmp_path: Path
+) -> None:
     copy = tmp_path / "page.md"
     copy.write_text((ROOT / name).read_text())
-    module.run(copy)
+    publish(copy)
     assert copy.read_text() == (ROOT / name).read_text()
 
 

@@ -23,6 +23,7 @@ LAYERS = (
     ("registry",),
     ("validation",),
     ("compose",),
+    ("help",),
     ("loggers", "objects"),
     ("task",),
     ("sim",),
@@ -30,9 +31,9 @@ LAYERS = (
     ("models", "segmentation"),
     ("envs",),
     ("agents",),
-    ("train", "viz"),
+    ("train", "viz", "gym_env"),
     ("evaluation",),
-    ("run_folder",),
+    ("run_folder", "callbacks"),
     ("experiment",),
     ("comparison",),
     ("cli",),
@@ -40,7 +41,7 @@ LAYERS = (
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 
 # Each only in the folder that needs it.
-OPTIONAL = {"rerun": "viz", "trimesh": "sources", "coacd": "sources"}
+OPTIONAL = {"rerun": "viz", "trimesh": "sources", "coacd": "sources", "gymnasium": "sdfgcn"}
 
 # Loaded only by what needs them; torch takes seconds, and MuJoCo fails to load without OpenGL.
 LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "mujoco", "dm_control", "scipy")

@@ -10,7 +10,7 @@ from omegaconf import OmegaConf
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.episodes import COLUMNS, EpisodeResult, EpisodeTable
 from sdfgcn.evaluation.paper import paper_figure
-from sdfgcn.evaluation.report import decimal, percent, text
+from sdfgcn.evaluation.report import decimal, percent, sweep_text, text
 from sdfgcn.evaluation.results import mean, summarise, t_interval, wilson
 from sdfgcn.files import write_json
 from sdfgcn.provenance import git_state
@@ -46,8 +46,10 @@ def test_wilson_by_hand() -> None:
 
 
 def test_t_interval_by_hand() -> None:
-    # mean 20, standard deviation 10, t(0.975, 2) = 4.30265: 4.30265 * 10 / sqrt(3) = 24.8414
-    assert t_interval([10.0, 20.0, 30.0]) == pytest.approx((-4.8414, 44.8414), abs=1e-4)
+    # mean 40 or 20, standard deviation 10, t(0.975, 2) = 4.30265: 4.30265 * 10 / sqrt(3) = 24.8414
+    assert t_interval([30.0, 40.0, 50.0]) == pytest.approx((15.1586, 64.8414), abs=1e-4)
+    assert t_interval([10.0, 20.0, 30.0]) == pytest.approx((0.0, 44.8414), abs=1e-4)
+    assert t_interval([10.0, 20.0, 30.0], most=35.0) == (0.0, 35.0)  # none is possible beyond
     assert t_interval([3.0, 3.0]) == (3.0, 3.0)
     assert t_interval([10.0]) is None
     assert t_interval([]) is None
@@ -90,8 +92,9 @@ def test_pushes_and_error_are_means_over_successes() -> None:
     }
     assert {key: results[key] for key in expected} == expected
     assert results["success_rate_ci95"] == wilson(2, 4)
-    # 15 -+ t(0.975, 1) * 7.0711 / sqrt(2) = 15 -+ 12.7062 * 5
-    assert results["pushes_ci95"] == pytest.approx((-48.531, 78.531), abs=1e-3)
+    # 15 -+ t(0.975, 1) * 7.0711 / sqrt(2) = 15 -+ 12.7062 * 5, cut at 0 and at 2 x 33 pushes
+    assert results["pushes_ci95"] == (0.0, 66.0)
+    assert results["error_mm_ci95"] == (0.0, 50.0)  # 30 -+ 127, cut at the threshold
     assert {"python", "mujoco", "torch"} <= set(results["versions"])
     json.dumps(results, allow_nan=False)
 
@@ -174,7 +177,10 @@ def test_table_stands_beside_the_paper() -> None:
     assert head.index("success rate") == ours.index("100% [34, 100]") == paper.index("69%")
     assert head.index("error (mm)") == ours.index("25.0 [") == paper.index("28.8")
     assert "(paper, " not in text(results | {"scenario": "swap"})
-    assert "(paper, " not in text(results | {"success_threshold": 0.025})
+    tight = text(results | {"success_threshold": 0.025, "checkpoint": "outputs/mine"})
+    assert "(paper, " not in tight
+    assert "model rule_based, checkpoint outputs/mine, env paper" in tight
+    assert tight.splitlines()[0].endswith("eval seed 0, success threshold 0.025")
 
 
 def test_another_agent_stands_beside() -> None:
@@ -187,6 +193,31 @@ def test_another_agent_stands_beside() -> None:
     assert beside.startswith("rule_based (same scenes)") and "0% [0, 79]" in beside
     assert best.startswith("SDFGCN-curriculum (paper, table II)") and "83%" in best
     assert rule.startswith("rule_based (paper, table II)") and "69%" in rule
+
+
+def test_a_sweep_has_a_column_for_what_differs() -> None:
+    def row(rate: float, *overrides: str) -> dict:
+        config = real_config("model=rule_based", *overrides)
+        results = summarise(config, [episode(0), episode(1, success=rate == 1.0)], wall_s=1.0)
+        return {**results, "overrides": ["model=rule_based", *overrides]}
+
+    title, head, first, second, meaning = sweep_text(
+        [
+            row(1.0, "n_objects=2", "env.scenario.gap=0.0"),
+            row(0.5, "n_objects=4", "env.scenario.gap=0.01"),
+        ]
+    ).splitlines()
+    assert title == (
+        "Model rule_based, objects scanned, robot ur5e, seed 0, env paper, split test, scenario "
+        "random, perception oracle, epsilon 0.1, eval seed 0, success threshold 0.05, no loop "
+        "distance"
+    )
+    assert head.split("  ")[0] == "n objects"
+    assert "env.scenario.gap" in head and "eval" not in head
+    assert first.split()[:4] == ["2", "0.0", "2", "100%"]
+    assert second.split()[:4] == ["4", "0.01", "2", "50%"]
+    assert head.index("success rate") == first.index("100%") == second.index("50%")
+    assert meaning.startswith("Pushes and error")
 
 
 def test_cells_of_a_table() -> None:

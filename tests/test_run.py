@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -15,7 +16,7 @@ from configs import compose_config, real_config
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from sdfgcn.cli import to_sentence
+from sdfgcn.cli import run_plainly, to_sentence, without_effect
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.experiment import run_experiment
 from sdfgcn.objects.catalogue import catalogue_folder, load_catalogue
@@ -54,11 +55,11 @@ def run(*arguments: object, **env: str) -> subprocess.CompletedProcess:
 
 
 def refusal(*arguments: object, **env: str) -> str:
-    """The one line on stderr of a run that must not work."""
+    """The one line on stderr of a run that must not work, besides that of its folder."""
     done = run(*arguments, **env)
     assert done.returncode in (1, 2), done
     assert "Traceback" not in done.stdout + done.stderr
-    (line,) = done.stderr.splitlines()
+    (line,) = (line for line in done.stderr.splitlines() if not line.startswith("Run folder: "))
     return line
 
 
@@ -91,6 +92,11 @@ def test_a_run_leaves_its_results(sweep: tuple[Path, str], job: str) -> None:
     folder, out = sweep[0] / job, sweep[1]
     assert f"Run folder: {folder}" in out
     assert "rule_based (paper, table II)  -         78%" in out
+    *_, title, head, first, second, _, last = out.splitlines()  # the table of both runs
+    assert title.startswith("Model rule_based, n objects 2, objects household, robot gripper")
+    assert head.split() == ["runtime.workers", *head.split()[1:]]
+    assert [line.split()[:2] for line in (first, second)] == [["0", "3"], ["2", "3"]]
+    assert last == f"Sweep folder: {sweep[0]}"
     assert status(folder)["state"] == "done"
     assert OmegaConf.load(folder / "config.yaml").env.objects.name == "household"
     assert [path.name for path in (folder / "recordings").iterdir()] == ["episode_000.rrd"]
@@ -148,7 +154,11 @@ def test_ctrl_c_keeps_what_is_done(tmp_path: Path) -> None:
         time.sleep(0.1)
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=60)  # too short for the episodes that were left
-    assert (process.returncode, err) == (130, "")
+    assert process.returncode == 130
+    first, last = err.splitlines()
+    assert first == f"Run folder: {tmp_path}"
+    again = shlex.split(last.removeprefix("Interrupted; to go on: "))
+    assert again == ["python", *map(str, process.args[1:])]
     left = status(tmp_path)
     assert (left["state"], left["episodes"]) == ("failed", len(rows(tmp_path)))
     assert "Interrupted" in left["error"]
@@ -181,6 +191,42 @@ def test_hydra_errors_in_one_sentence(overrides: list[str], told: str) -> None:
     assert "\n" not in sentence
 
 
+@pytest.mark.parametrize(
+    ("overrides", "idle"),
+    [
+        (["model=rule_based", "budget=smoke", "n_objects=2"], "budget=smoke"),
+        (["train.batch_size=8", "robot@train.env.robot=ur5e"], "train.batch_size=8, robot@train."),
+        (["model=sdfgcn", "checkpoint=sdfgcn", "+train.env.pixels=true"], "+train.env.pixels=true"),
+        (["model=sdfgcn", "budget=smoke"], None),
+        (["eval=greedy", "runtime.workers=0"], None),
+    ],
+)
+def test_what_has_no_effect_is_said(overrides: list[str], idle: str | None) -> None:
+    told = without_effect(real_config(*overrides), overrides)
+    if idle is None:
+        assert told is None
+    else:
+        assert told is not None
+        assert told.startswith(f"Without effect, as nothing is trained: {idle}")
+
+
+def test_ctrl_c_behind_another_error(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HYDRA_FULL_ERROR", "0")  # put back afterwards: the command sets it
+
+    def main() -> None:
+        try:
+            raise KeyboardInterrupt
+        finally:
+            raise SdfgcnError("what its clean-up ran into")
+
+    with pytest.raises(SystemExit) as ended:
+        run_plainly(main)
+    assert ended.value.code == 130
+    assert capsys.readouterr().err.startswith("Interrupted")
+
+
 def test_an_error_of_ours_keeps_its_traceback() -> None:
     assert to_sentence(KeyError("x")) is None
     assert to_sentence(OSError("the network is down")) is None
@@ -201,7 +247,10 @@ def test_a_value_out_of_range_fails_the_run(tmp_path: Path) -> None:
 def test_a_sweep_tells_every_job_that_fails(tmp_path: Path) -> None:
     done = run("-m", "n_objects=9,10", f"hydra.sweep.dir={tmp_path}")
     assert done.returncode == 1
-    assert done.stderr == "n_objects is 9, but must lie between 1 and env.max_objects (8).\n"
+    assert done.stderr == (
+        f"Sweep folder: {tmp_path}\n"
+        "n_objects is 9, but must lie between 1 and env.max_objects (8).\n"
+    )
     assert "n_objects=9 failed: n_objects is 9" in done.stdout
     assert "n_objects=10 failed: n_objects is 10" in done.stdout
     assert [status(tmp_path / job)["state"] for job in "01"] == ["failed"] * 2

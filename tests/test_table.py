@@ -9,6 +9,7 @@ import pytest
 ROOT = Path(__file__).parents[1]
 sys.path.insert(0, str(ROOT / "experiments"))
 
+import common  # noqa: E402
 import table  # noqa: E402
 
 from sdfgcn.errors import SdfgcnError  # noqa: E402
@@ -132,7 +133,7 @@ def test_what_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     options = ["--page", str(page), "--results", str(out)]
     assert table.main(["mine", str(tmp_path / "sweep"), *options]) == 0
     printed = capsys.readouterr()
-    assert printed.err == f"Left out: {broken} (failed).\n"
+    assert printed.err == f"Left out: {broken} (failed).\nWrote {out}/mine.*, {page}.\n"
     (row,) = json.loads((out / "mine.json").read_text())
     assert row["episode_seeds"] == [11, 12, 13, 14]
     assert row["git"]["commit"] == "0123456789abcdef"
@@ -143,6 +144,26 @@ def test_what_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     assert page.read_text() == once
     assert table.main(["mine", str(tmp_path / "sweep"), *options]) == 0
     assert page.read_text() == once
+
+
+@pytest.mark.parametrize("publish", [False, True])
+def test_tracked_files_are_written_only_when_asked(
+    publish: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a checkout of its own, with a page of the docs that has the table's place."""
+    monkeypatch.setattr(table, "ROOT", tmp_path)
+    monkeypatch.setattr(common, "RESULTS", tmp_path / "tracked")
+    monkeypatch.setattr(common, "SCRATCH", tmp_path / "ignored")
+    page = tmp_path / "docs" / "results.md"
+    page.parent.mkdir()
+    page.write_text(README)
+    (tmp_path / "README.md").write_text("no place\n")
+    run = finished_run(tmp_path / "run")
+    assert table.main(["mine", str(run), *(["--publish"] if publish else [])]) == 0
+    written = [path for path in ("tracked", "ignored") if (tmp_path / path / "mine.md").exists()]
+    assert written == ["tracked" if publish else "ignored"]
+    assert ("rule_based" in page.read_text()) == publish
+    assert (tmp_path / "README.md").read_text() == "no place\n"
 
 
 @pytest.mark.parametrize("state", ["running", "failed", None])

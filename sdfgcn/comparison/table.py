@@ -126,7 +126,8 @@ def markdown(experiment: ComparisonConfig, found: Sequence[Row]) -> str:
     others = [row for row in found if row not in main]
     parts = [f"**{experiment.title}.**"]
     if main:
-        parts = [f"{parts[0]} {_said(main[0])}.", _table(experiment, main)]
+        own = _own(main)
+        parts = [f"{parts[0]} {_said(main[0], own)}.", _table(experiment, main)]
     if others:
         parts += ["Other conditions:", _table(experiment, others, conditions=True)]
     parts += [_note(found)]
@@ -144,9 +145,16 @@ def _is(row: Row, conditions: Mapping[str, Any]) -> bool:
     return all(row.get(key) == value for key, value in conditions.items())
 
 
-def _said(row: Row) -> str:
-    """The conditions of evaluation in words."""
-    return f"Perception {row['perception']}, {_help(row)}"
+def _own(found: Sequence[Row]) -> list[str]:
+    """The conditions that differ, which are columns."""
+    return [key for key in _COLUMNS if len({row[key] for row in found}) > 1]
+
+
+def _said(row: Row, own: Sequence[str]) -> str:
+    """The conditions of evaluation in words, without those that have a column."""
+    worlds = [f"{key} {row[key]}" for key in ("env", "scenario") if key not in own]
+    told = ", ".join([*worlds, f"perception {row['perception']}", _help(row)])
+    return told[:1].upper() + told[1:]
 
 
 def _help(row: Row) -> str:
@@ -157,7 +165,7 @@ def _help(row: Row) -> str:
 
 
 def _table(experiment: ComparisonConfig, found: Sequence[Row], conditions: bool = False) -> str:
-    own = [key for key in _COLUMNS if len({row[key] for row in found}) > 1]
+    own = _own(found)
     heads = ["method", *(key.replace("_", " ") for key in own)]
     heads += ["perception", "help"] if conditions else []
     heads += ["seeds"]

