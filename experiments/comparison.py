@@ -2,10 +2,10 @@
 
     python experiments/comparison.py table1 multirun/table1
     python experiments/comparison.py table1 multirun/table1 --publish
-    python experiments/comparison.py table1 multirun/table1 --seeds 0 --readme README.md
+    python experiments/comparison.py table1 multirun/table1 --seeds 0 --partial
 
 Writes `<name>.json` (every row), `<name>.md` and figures, `<name>_*.png`, to `outputs/experiments`;
-`--publish` and `--readme` are as in `table.py`. A missing method, seed or cell is an error; ask for
+`--publish` and `--page` are as in `table.py`; the first renews the README's table, too. A missing method, seed or cell is an error; ask for
 less with `--methods` and `--seeds`, or leave out unfinished cells with `--partial`.
 """
 
@@ -17,6 +17,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import summary
 from common import load, run
 from table import arguments_of, publish
 
@@ -52,7 +53,10 @@ def _table(given: argparse.Namespace) -> int:
 
         return table, write
 
-    return publish(given, given.name, make)
+    failed = publish(given, given.name, make)
+    if given.publish and not (failed or given.results) and given.name in summary.SHOWN:
+        summary.publish()
+    return failed
 
 
 if __name__ == "__main__":

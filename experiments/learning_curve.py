@@ -1,10 +1,10 @@
 """The learning curve of a training, as a picture and as a short table.
 
     python experiments/learning_curve.py sdfgcn outputs/2026-01-31/14-00-00
-    python experiments/learning_curve.py sdfgcn FOLDER --readme README.md --rows 12
+    python experiments/learning_curve.py sdfgcn FOLDER --rows 12 --publish
 
 Copies the `train.csv` of a run folder to `outputs/experiments/<name>_curve.csv` and writes a
-table of rows evenly spaced in time (`.md`) and a picture (`.png`). `--publish` and `--readme` are
+table of rows evenly spaced in time (`.md`) and a picture (`.png`). `--publish` and `--page` are
 as in `table.py`, with the lines `<!-- results:<name>_curve -->` and `<!-- /results -->`.
 """
 

@@ -3,8 +3,8 @@
     python experiments/perception.py                         every section
     python experiments/perception.py segmentation scenes=20
     python experiments/perception.py matching scenes=50 objects=household
-    python experiments/perception.py readme                  prints the tables' main rows
-    python experiments/perception.py readme --publish        puts them into README.md
+    python experiments/perception.py page                    prints the tables' main rows
+    python experiments/perception.py page --publish          puts them into docs/perception.md
 
 Each section writes `perception_<section>.json`, `.md` (the same as a table) and `.png`
 (examples and failures); see its module. `scenes` is the number of scenes per number of objects, by
@@ -23,7 +23,7 @@ for threads in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
 from collections.abc import Sequence
 
 import perception_matching
-import perception_readme
+import perception_page
 import perception_segmentation
 import torch
 from common import PUBLISH, parse, run
@@ -41,19 +41,19 @@ def _run(arguments: Sequence[str]) -> None:
     names = [each for each in arguments if "=" not in each and not each.startswith("-")]
     given = parse([each for each in arguments if each not in names], {"scenes": 0}, __doc__ or "")
     for name in names:
-        if name not in (*SECTIONS, "readme"):
-            sections = ", ".join([*SECTIONS, "readme"])
+        if name not in (*SECTIONS, "page"):
+            sections = ", ".join([*SECTIONS, "page"])
             raise SdfgcnError(f"There is no section '{name}'; there are {sections}.")
     torch.set_num_threads(1)
     for name in names or SECTIONS:
-        if name != "readme":
+        if name != "page":
             section = SECTIONS[name]
             given.folder.mkdir(parents=True, exist_ok=True)
             section.run(given.overrides, given.own["scenes"] or section.SCENES, given.folder)
         elif PUBLISH in arguments:
-            perception_readme.run()
+            perception_page.run()
         else:
-            print(perception_readme.tables())
+            print(perception_page.tables())
 
 
 if __name__ == "__main__":

@@ -2,13 +2,12 @@
 
     python experiments/table.py rule_based multirun/2026-01-31/12-00-00 outputs/2026-01-31/14-00-00
     python experiments/table.py rule_based FOLDER... --publish
-    python experiments/table.py rule_based FOLDER... --readme README.md
 
 Takes every run folder at or below the given folders and writes `<name>.json` (each run's
 `results.json`, its command line's overrides and the paper's figure) and `<name>.md` to
 `outputs/experiments`. With `--publish` they go to `experiments/results`, and the table also between
 the lines `<!-- results:<name> -->` and `<!-- /results -->` of `README.md` or a file of `docs/`,
-where there are such lines. `--readme FILE` publishes likewise, with that file.
+where there are such lines. `--page FILE` publishes likewise, to that file alone.
 """
 
 from __future__ import annotations
@@ -56,7 +55,7 @@ def arguments_of(
 ) -> argparse.Namespace:
     """Parse the command line of a table: the parser's own arguments, and where files go."""
     parser.add_argument(PUBLISH, action="store_true", help=f"{PUBLISH_HELP}, and to the docs")
-    parser.add_argument("--readme", type=Path, help="publish, with this file's marker lines")
+    parser.add_argument("--page", type=Path, help="publish, with this file's marker lines")
     parser.add_argument("--results", type=Path, help="another folder for the files")
     parsed = parser.parse_args(given)
     if not re.fullmatch(r"\w[\w.-]*", parsed.name):
@@ -79,11 +78,11 @@ def publish(
     """
     try:
         table, write_others = make()
-        places = [given.readme] if given.readme else places_of(name) if given.publish else []
+        places = [given.page] if given.page else places_of(name) if given.publish else []
         pages = {  # before anything is written
             place: filled(place.read_text(encoding="utf-8"), name, table, place) for place in places
         }
-        folder = given.results or results_folder(given.publish or given.readme is not None)
+        folder = given.results or results_folder(given.publish or given.page is not None)
         folder.mkdir(parents=True, exist_ok=True)
         write_others(folder)
         write_text(folder / f"{name}.md", table)

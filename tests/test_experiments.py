@@ -3,6 +3,7 @@
 import json
 import runpy
 import sys
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
 
@@ -19,10 +20,11 @@ import faults  # noqa: E402
 import faults_table  # noqa: E402
 import perception  # noqa: E402
 import perception_matching as matching  # noqa: E402
-import perception_readme as readme  # noqa: E402
+import perception_page as page  # noqa: E402
 import perception_segmentation as segmentation  # noqa: E402
 import physics  # noqa: E402
 import pictures  # noqa: E402
+import summary  # noqa: E402
 
 from sdfgcn.errors import SdfgcnError  # noqa: E402
 from sdfgcn.segmentation.metrics import MaskScores, Score  # noqa: E402
@@ -318,7 +320,7 @@ def test_a_sheet_is_filled_line_by_line() -> None:
     ]
 
 
-# ---------------------------------------------------------------------- readme
+# ---------------------------------------------------------------------- pages
 
 
 def test_main_rows() -> None:
@@ -329,34 +331,49 @@ def test_main_rows() -> None:
         for look in looks
         for n, share in ((2, 0.1), (3, 0.3), (6, 0.6), ("2 to 6", 0.7))
     ]  # fmt: skip
-    lines = readme.segmentation(rows).splitlines()[2:]
+    lines = page.segmentation(rows).splitlines()[2:]
     counts = "30% [50, 100] | 60% [50, 100] | 70% [50, 100]"
     assert lines == [
         f"| scanned | {look} | 0.900 | 0.800 | {counts} |" for look in ("own", "shifted")
     ]
-    assert readme.matching([row(4)]).splitlines()[2] == (
+    assert page.matching([row(4)]).splitlines()[2] == (
         "| 4 | 10 | 100.0% [50.0, 100.0] | 100.0% [50.0, 100.0] |"
     )
 
 
-def test_the_readme_says_what_the_results_say(tmp_path: Path) -> None:
-    copy = tmp_path / "README.md"
-    copy.write_text((ROOT / "README.md").read_text())
-    readme.run(copy)
-    assert copy.read_text() == (ROOT / "README.md").read_text()
+@pytest.mark.parametrize(
+    ("publish", "name"), [(page.run, "docs/perception.md"), (summary.publish, "README.md")]
+)
+def test_a_page_says_what_the_results_say(
+    publish: Callable[[Path], None], name: str, tmp_path: Path
+) -> None:
+    copy = tmp_path / "page.md"
+    copy.write_text((ROOT / name).read_text())
+    publish(copy)
+    assert copy.read_text() == (ROOT / name).read_text()
 
 
 def test_a_section_that_was_not_run_is_named(tmp_path: Path) -> None:
-    copy = tmp_path / "README.md"
-    copy.write_text((ROOT / "README.md").read_text())
+    copy = tmp_path / "page.md"
+    copy.write_text((ROOT / "docs" / "perception.md").read_text())
     with pytest.raises(SdfgcnError, match=r"run `python experiments/perception.py segmentation`"):
-        readme.run(copy, results=tmp_path)
+        page.run(copy, results=tmp_path)
+
+
+def test_the_readme_has_the_main_rows() -> None:
+    """Of two experiments' files: held-out objects, the headline's conditions, the paper's world."""
+    common = {"split": "test", "env": "paper", "success_threshold": 0.05, "n_objects": 3}
+    headline = {**common, "eval": "default", "perception": "vision", "method": "sdfgcn"}
+    others = [{"split": "train"}, {"n_objects": 4}, {"perception": "oracle"}, {"eval": "greedy"}]
+    rows = [{**headline, **change} for change in ({}, *others)]
+    assert summary.main_rows("table1", rows, (3,)) == [headline]
+    assert summary.main_rows("table1", rows, (3, 4)) == [headline, rows[2]]
 
 
 def test_an_unknown_section_is_one_sentence(capsys: pytest.CaptureFixture[str]) -> None:
     assert perception.main(["matchin", "scenes=2"]) == 1
     assert capsys.readouterr().err == (
-        "There is no section 'matchin'; there are segmentation, matching, readme.\n"
+        "There is no section 'matchin'; there are segmentation, matching, page.\n"
     )
 
 

@@ -40,10 +40,10 @@ def test_rows_are_spaced_in_time() -> None:
 
 
 def test_what_is_written(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    readme = tmp_path / "README.md"
-    readme.write_text("<!-- results:mine_curve -->\nold\n<!-- /results -->\nrest\n")
+    page = tmp_path / "page.md"
+    page.write_text("<!-- results:mine_curve -->\nold\n<!-- /results -->\nrest\n")
     results = tmp_path / "results"
-    options = ["--rows", "2", "--readme", str(readme), "--results", str(results)]
+    options = ["--rows", "2", "--page", str(page), "--results", str(results)]
     assert learning_curve.main(["mine", str(folder), *options]) == 0
     table = (results / "mine_curve.md").read_text()
     assert table.splitlines()[2:4] == [
@@ -52,7 +52,7 @@ def test_what_is_written(folder: Path, tmp_path: Path, capsys: pytest.CaptureFix
     ]
     assert (results / "mine_curve.csv").read_bytes() == (folder / "train.csv").read_bytes()
     assert (results / "mine_curve.png").read_bytes().startswith(b"\x89PNG")
-    assert readme.read_text().startswith(f"<!-- results:mine_curve -->\n{table}<!-- /results -->")
+    assert page.read_text().startswith(f"<!-- results:mine_curve -->\n{table}<!-- /results -->")
     assert capsys.readouterr().out == table
 
 

@@ -14,7 +14,7 @@ import table  # noqa: E402
 
 from sdfgcn.errors import SdfgcnError  # noqa: E402
 
-README = "# Title\n<!-- results:mine -->\nold\n<!-- /results -->\nEnd\n"
+PAGE = "# Title\n<!-- results:mine -->\nold\n<!-- /results -->\nEnd\n"
 
 
 def finished_run(folder: Path, **changes: object) -> Path:
@@ -125,15 +125,15 @@ def test_learned_models(tmp_path: Path) -> None:
 
 
 def test_what_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    readme = tmp_path / "README.md"
-    readme.write_text(README)
+    page = tmp_path / "page.md"
+    page.write_text(PAGE)
     finished_run(tmp_path / "sweep" / "0")
     broken = finished_run(tmp_path / "sweep" / "1", state="failed")
     out = tmp_path / "results"
-    options = ["--readme", str(readme), "--results", str(out)]
+    options = ["--page", str(page), "--results", str(out)]
     assert table.main(["mine", str(tmp_path / "sweep"), *options]) == 0
     printed = capsys.readouterr()
-    assert printed.err == f"Left out: {broken} (failed).\nWrote {out}/mine.*, {readme}.\n"
+    assert printed.err == f"Left out: {broken} (failed).\nWrote {out}/mine.*, {page}.\n"
     (row,) = json.loads((out / "mine.json").read_text())
     assert row["episode_seeds"] == [11, 12, 13, 14]
     assert row["git"]["commit"] == "0123456789abcdef"
@@ -141,9 +141,9 @@ def test_what_is_written(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     text = (out / "mine.md").read_text()
     assert printed.out == text
     once = f"# Title\n<!-- results:mine -->\n{text}<!-- /results -->\nEnd\n"
-    assert readme.read_text() == once
+    assert page.read_text() == once
     assert table.main(["mine", str(tmp_path / "sweep"), *options]) == 0
-    assert readme.read_text() == once
+    assert page.read_text() == once
 
 
 @pytest.mark.parametrize("publish", [False, True])
@@ -180,23 +180,23 @@ def test_refuses_a_folder_without_a_finished_run(
     assert not (tmp_path / "out").exists()
 
 
-def test_writes_nothing_when_the_readme_has_no_place(
+def test_writes_nothing_when_the_page_has_no_place(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    readme = tmp_path / "README.md"
-    readme.write_text(README)
+    page = tmp_path / "page.md"
+    page.write_text(PAGE)
     folder = finished_run(tmp_path / "run")
-    options = ["--readme", str(readme), "--results", str(tmp_path / "out")]
+    options = ["--page", str(page), "--results", str(tmp_path / "out")]
     assert table.main(["another", str(folder), *options]) == 1
     assert "has no lines <!-- results:another --> and <!-- /results -->" in capsys.readouterr().err
-    assert readme.read_text() == README
+    assert page.read_text() == PAGE
     assert not (tmp_path / "out").exists()
 
 
 def test_a_marker_does_not_reach_into_the_next_table() -> None:
     text = "<!-- results:a -->\n<!-- results:b -->\n<!-- /results -->\n"
     with pytest.raises(SdfgcnError, match="results:a"):
-        table.filled(text, "a", "new\n", Path("README.md"))
+        table.filled(text, "a", "new\n", Path("page.md"))
 
 
 def test_a_damaged_run_is_named(tmp_path: Path) -> None:
@@ -206,10 +206,17 @@ def test_a_damaged_run_is_named(tmp_path: Path) -> None:
         table.collect([folder])
 
 
-@pytest.mark.parametrize("name", ["calibration", "first", "table1", "table2"])
-def test_the_readme_has_its_place(name: str) -> None:
-    text = (ROOT / "README.md").read_text()
-    assert "new\n" in table.filled(text, name, "new\n", Path("README.md"))
+@pytest.mark.parametrize("name", ["calibration", "first", "table1", "table2", "beyond"])
+def test_the_results_page_has_its_place(name: str) -> None:
+    page = ROOT / "docs" / "results.md"
+    assert "new\n" in table.filled(page.read_text(), name, "new\n", page)
+
+
+@pytest.mark.parametrize("name", ["calibration", "first", "table1", "beyond"])
+def test_the_results_page_says_what_the_results_say(name: str) -> None:
+    """The published table is the one in `results/`."""
+    text, page = (ROOT / "experiments/results" / f"{name}.md").read_text(), ROOT / "docs/results.md"
+    assert table.filled(page.read_text(), name, text, page) == page.read_text()
 
 
 def test_a_name_is_no_path(tmp_path: Path) -> None:

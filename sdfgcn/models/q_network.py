@@ -32,7 +32,7 @@ class QNetwork(TensorDictModuleBase):
         fixed_rows: Whether observations must have exactly `max_objects` rows.
         learner: How it is trained, a key of `sdfgcn.train.learners.LEARNERS`.
         config: The `model` part of the experiment's config.
-        n_directions: D.
+        n_directions: The number D of directions.
         max_objects: The N that it was built for.
         image_size: Height and width of its pictures, pixels.
     """

@@ -49,7 +49,7 @@ class PushSpace:
     """The D push directions, their actions, and where each push starts.
 
     Attributes:
-        n_directions: D.
+        n_directions: The number D of directions.
         angles: [D] heading of each direction, radians counter-clockwise from the x axis.
         camera: The camera that takes the pictures.
     """

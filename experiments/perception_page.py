@@ -1,4 +1,4 @@
-"""The `readme` section of `perception.py`: puts the main rows of both tables into the README.
+"""The `page` section of `perception.py`: puts the main rows of both tables into the manual.
 
 Rows are taken unchanged from `results/perception_segmentation.json` and `perception_matching.json`.
 """
@@ -21,18 +21,18 @@ Row = dict[str, Any]
 ALL = "2 to 6"  # n_objects of a row over all numbers of objects
 
 
-def run(readme: Path = ROOT / "README.md", results: Path = RESULTS) -> None:
-    """Put both tables between the README's marker lines.
+def run(page: Path = ROOT / "docs" / "perception.md", results: Path = RESULTS) -> None:
+    """Put both tables between the page's marker lines.
 
     Raises:
-        SdfgcnError: A section has not been run yet, or the README lacks the markers.
+        SdfgcnError: A section has not been run yet, or the page lacks the markers.
     """
-    text = readme.read_text(encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
     for section, table in TABLES.items():
         name = f"perception_{section}"
         rows = _rows(results / f"{name}.json", section)
-        text = filled(text, name, table(rows), readme)
-    write_text(readme, text)
+        text = filled(text, name, table(rows), page)
+    write_text(page, text)
 
 
 def tables(results: Path = RESULTS) -> str:
