@@ -50,7 +50,8 @@ class RearrangementEnv(EnvBase):
         world: The objects, the camera and the robot.
         push_space: The actions, and where pushes start.
         n_objects: Objects in the next episode, 1 to `max_objects`; may be set.
-        record: Whether `episode_start` and `last_step` include RGB pictures; may be set.
+        record: Whether `episode_start` and `last_step` include RGB pictures, and the pushes their
+            motion; may be set.
         episode_start: The constants and first moment of the current episode.
         last_step: The last push; None at the start of an episode.
     """
@@ -155,6 +156,7 @@ class RearrangementEnv(EnvBase):
         row, direction = self.push_space.decode(int(tensordict["action"]))
         detected_before, legal = self._now.scene.node_mask, self._action_mask
         command = self.push_space.command(self._plan, detected_before.numpy(), row, direction)
+        self.world.record = self.record
         result = self.world.execute(command)
         self._pushes += 1
         self._look()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+from collections.abc import Iterable
 
 import mujoco
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from sdfgcn.config import ArenaConfig, PushConfig
 from sdfgcn.sim.robots.robot import Robot, Unreachable
+from sdfgcn.sim.tape import Tape
 from sdfgcn.task.region import Region
 from sdfgcn.task.world import PushCommand, PushResult
 
@@ -26,8 +28,11 @@ class PushPrimitive:
         self._config = config
         self._reach = Region.reach(arena)
         self._robot = robot
+        self._tape: Tape | None = None
 
-    def execute(self, physics: mjcf.Physics, command: PushCommand) -> PushResult:
+    def execute(
+        self, physics: mjcf.Physics, command: PushCommand, tape: Tape | None = None
+    ) -> PushResult:
         """Push, and leave the robot at home; props may still be moving.
 
         The robot jumps across the free space above the props, because simulating that motion
@@ -38,7 +43,9 @@ class PushPrimitive:
         Args:
             physics: Stepped in place.
             command: The push; a start that is NaN or out of bounds is unreachable.
+            tape: Notes how the robot and the props move, if given.
         """
+        self._tape = tape
         config = self._config
         ahead = np.array([np.cos(command.angle), np.sin(command.angle)])
         start = np.array([*command.start, config.height])
@@ -56,7 +63,9 @@ class PushPrimitive:
         except Unreachable:
             return PushResult("unreachable", start, start)
 
-        if not self._free(physics, descent) or not self._descend(physics, descent):
+        free = self._free(physics, descent)
+        self._show_jump(physics, descent.joints if self._robot.teleports and free else [q_above])
+        if not free or not self._descend(physics, descent):
             self._robot.place(physics, self._robot.home)
             return PushResult("blocked", start, start)
         reached, touched = self._push(physics, push, command.free)
@@ -77,6 +86,13 @@ class PushPrimitive:
             if self._touches(data):
                 return False
         return True
+
+    def _show_jump(self, physics: mjcf.Physics, joints: Iterable[NDArray]) -> None:
+        """Note postures that the robot passes without being simulated; it is placed after that."""
+        if self._tape is not None:
+            for posture in joints:
+                self._robot.place(physics, posture)
+                self._tape.note(physics.data.ptr)
 
     def _descend(self, physics: mjcf.Physics, path: _Path) -> bool:
         """Lower the tool along a free path; return whether it touched nothing."""
@@ -190,6 +206,8 @@ class PushPrimitive:
         for k, reached in enumerate(travelled[1:]):
             commanded[drives] = control[k]
             mujoco.mj_step(model, data, steps)
+            if self._tape is not None:
+                self._tape.note(data)
             if until_touch and self._touches(data):
                 return float(reached), True
         return float(until), False

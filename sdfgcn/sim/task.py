@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -17,6 +18,8 @@ from sdfgcn.sim.arena import GROUP_PARKED, GROUP_SCENE, Table
 from sdfgcn.sim.episode import EpisodeSpec
 from sdfgcn.sim.props import CONAFFINITY_PROP, CONTYPE_PROP, PARKING, Prop
 from sdfgcn.sim.push import PushPrimitive
+from sdfgcn.sim.robots.robot import drop_visuals
+from sdfgcn.sim.tape import Tape
 from sdfgcn.task.world import PushCommand, PushResult
 
 READY_TO_SLEEP = -1  # MuJoCo increments tree_asleep up to this value while a tree is still
@@ -35,6 +38,7 @@ class RearrangementTask(composer.Task):
         self._config = config
         self._table = Table(arena=config.arena, physics=config.physics)
         self.robot = ROBOTS[config.robot.name](config=config.robot)
+        drop_visuals(self.robot.mjcf_model)  # no picture of the task shows the robot
         self._table.attach(self.robot)
         self._props = [Prop(model=model, physics=config.physics) for model in catalogue]
         for i, prop in enumerate(self._props):
@@ -123,20 +127,29 @@ class RearrangementTask(composer.Task):
 
     # ------------------------------------------------------------------ pushing
 
-    def execute(self, physics: mjcf.Physics, command: PushCommand) -> PushResult:
+    def execute(
+        self, physics: mjcf.Physics, command: PushCommand, record: bool = False
+    ) -> PushResult:
         """Push, and let the props come to rest.
 
         The final simulation state depends on the props' poses alone: velocities, warm starts and
         sleep are cleared, so that restoring saved poses restores the state.
+
+        Args:
+            physics: Stepped in place.
+            command: The push.
+            record: Whether the result includes the motion; nothing else depends on it.
         """
+        objects = self._qpos[self.episode.objects]
+        tape = Tape(self.robot.joint_qpos, objects) if record else None
         options = physics.model.opt
         options.noslip_iterations = 0  # off while the tool moves, see conf/env/paper.yaml
-        result = self._primitive.execute(physics, command)
+        result = self._primitive.execute(physics, command, tape)
         options.noslip_iterations = self._config.physics.noslip_iterations
         if result.status != "unreachable":
-            self._settle(physics)
+            self._settle(physics, tape)
         self.set_poses(physics, self.poses(physics))
-        return result
+        return result if tape is None else replace(result, motion=tape.motion())
 
     def poses(self, physics: mjcf.Physics) -> NDArray[np.float64]:
         """[n, 7] true poses in slot order: xyz in metres, quaternion w, x, y, z."""
@@ -163,7 +176,7 @@ class RearrangementTask(composer.Task):
         mujoco.mj_kinematics(physics.model.ptr, physics.data.ptr)
         mujoco.mj_camlight(physics.model.ptr, physics.data.ptr)
 
-    def _settle(self, physics: mjcf.Physics) -> None:
+    def _settle(self, physics: mjcf.Physics, tape: Tape | None = None) -> None:
         """Step until every prop sleeps, for at most `settle_seconds`."""
         config = self._config.physics
         model, data = physics.model.ptr, physics.data.ptr
@@ -172,3 +185,5 @@ class RearrangementTask(composer.Task):
             if (data.tree_asleep[trees] >= 0).all():
                 return
             mujoco.mj_step(model, data, SETTLE_STEPS)
+            if tape is not None:
+                tape.note_objects(data)

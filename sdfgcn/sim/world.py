@@ -33,6 +33,7 @@ class MujocoWorld:
         physics: The compiled model and its state.
         renderer: Renders the world.
         truth: The current episode's objects, their colours and true goal poses.
+        record: Whether the results of pushes include their motion; may be set.
     """
 
     def __init__(self, config: EnvConfig, catalogue: Sequence[ObjectModel] | None = None) -> None:
@@ -52,6 +53,7 @@ class MujocoWorld:
         )
         self._renderer: Renderer | None = None
         self.truth: Truth | None = None
+        self.record = False
 
     @property
     def physics(self) -> mjcf.Physics:
@@ -120,7 +122,7 @@ class MujocoWorld:
 
     def execute(self, command: PushCommand) -> PushResult:
         """Push, and wait until everything is at rest."""
-        return self.task.execute(self.physics, command)
+        return self.task.execute(self.physics, command, self.record)
 
     def poses(self) -> NDArray[np.float64]:
         """[n, 7] the objects' true poses: xyz in metres, quaternion w, x, y, z."""

@@ -38,6 +38,24 @@ class PushCommand:
 
 
 @dataclass(frozen=True)
+class Motion:
+    """How the robot and the objects moved during a push; for drawing only.
+
+    F moments in the order of time, closer together where a simulation is stepped more finely. A
+    push that was not executed has none.
+
+    Attributes:
+        robot: float64 [F, J] positions of the robot's joints, metres or radians, in the order of
+            its model.
+        poses: float64 [F, n, 7] poses of the objects, by slot: xyz in metres, quaternion
+            w, x, y, z.
+    """
+
+    robot: NDArray[np.float64]
+    poses: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class PushResult:
     """The outcome of a push.
 
@@ -47,11 +65,13 @@ class PushResult:
             touched no object.
         start: [3] where the fingertips started to push, metres, world frame.
         end: [3] where they stopped, metres, world frame.
+        motion: How it went, if `World.record` asked for it and the world knows.
     """
 
     status: PushStatus
     start: NDArray[np.float64]
     end: NDArray[np.float64]
+    motion: Motion | None = None
 
 
 class View(Protocol):
@@ -89,10 +109,13 @@ class World(Protocol):
     Attributes:
         camera: The camera that takes every picture.
         truth: Ground truth of the current episode; None in a real world.
+        record: Set by the env: whether the results of pushes should include their motion. It must
+            not change anything else; a world that knows no motion ignores it.
     """
 
     camera: CameraModel
     truth: Truth | None
+    record: bool
 
     @property
     def n_objects(self) -> int:

