@@ -105,11 +105,28 @@ def text(results: Results, beside: Sequence[Results] = ()) -> str:
     for figure in filter(None, map(paper, (told, *beside))):
         episodes = "200" if figure["table"] == "table I" else "-"
         rows.append([f"{figure['method']} (paper, {figure['table']})", episodes, *_figures(figure)])
+    return _aligned(results, _PRINTED, rows)
+
+
+def agents_text(results: Mapping[str, Results]) -> str:
+    """Format evaluations of several agents on the same scenes as aligned rows.
+
+    Args:
+        results: The `results.json` of each agent, by its title.
+    """
+    rows = [["", "episodes", *(head for _, head, _ in _FIGURES)]]
+    rows += [[name, str(row["episodes"]), *_figures(row)] for name, row in results.items()]
+    shared = [key for key in _PRINTED if key != "model"]
+    return _aligned(next(iter(results.values())), shared, rows)
+
+
+def _aligned(results: Results, said: Iterable[str], rows: Sequence[Sequence[str]]) -> str:
+    """Rows below the conditions of an evaluation."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     objects = f"{results['n_objects']} {results['objects']} objects ({results['split']})"
     return "\n".join(
         [
-            f"{objects}, {_said(results, _PRINTED)}",
+            f"{objects}, {_said(results, said)}",
             *("  ".join(map(str.ljust, row, widths)).rstrip() for row in rows),
             "Pushes and error: means over successes. In brackets: 95% confidence intervals.",
         ]

@@ -141,7 +141,9 @@ def _add_object(root: mjcf.RootElement, slot: int, truth: Truth, look: Look) -> 
     color = [1.0] * 3 if material else list(truth.colors[slot][:3])  # no tint on a texture
     skin = {"material": material} if material else {}
     common = {"type": "mesh", "mesh": "visual", "contype": 0, "conaffinity": 0, **skin}
-    prop.worldbody.add("geom", name="visual", group=GROUP_SCENE, rgba=[*color, 1.0], mass=1.0, **common)
+    prop.worldbody.add(
+        "geom", name="visual", group=GROUP_SCENE, rgba=[*color, 1.0], mass=1.0, **common
+    )
     joint = root.attach(prop).add("freejoint")
     ghost = root.worldbody.add("body", name=f"goal{slot}", pos=pose[:3], quat=pose[3:])
     common |= {"mesh": prop.find("mesh", "visual")}
@@ -157,4 +159,3 @@ def _showing(*groups: int) -> MjvOption:
     option.geomgroup[list(groups)] = 1
     option.sitegroup[:] = 0
     return option
-

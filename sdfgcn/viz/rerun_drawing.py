@@ -153,7 +153,7 @@ def blueprint(arena: ArenaConfig, n_objects: int, with_q_values: bool) -> rrb.Bl
         words,
         column_shares=[1, 1, 1, *([2] * len(q_values)), 1],
     )
-    top = rrb.Horizontal(pictures, _world_view(arena), sdfs, column_shares=[2, 3, 2])
+    top = rrb.Horizontal(pictures, world_view(arena), sdfs, column_shares=[2, 3, 2])
     return rrb.Blueprint(
         rrb.Vertical(top, figures, row_shares=[3, 1]),
         rrb.TimePanel(state="collapsed", timeline=TIMELINE, fps=2.0),
@@ -169,14 +169,14 @@ def _q_values_view() -> rrb.Tabs:
     )
 
 
-def _world_view(arena: ArenaConfig) -> rrb.Spatial3DView:
+def world_view(arena: ArenaConfig, origin: str = "world", name: str = "World") -> rrb.Spatial3DView:
     """The 3D view from the camera's side, so that left and right are as in the pictures."""
     (x_low, x_high), (y_low, y_high) = arena.reach_x, arena.reach_y
     centre = np.array([(x_low + x_high) / 2, (y_low + y_high) / 2, 0.0])
     eye = centre + (y_high - y_low) * np.array([0.2, -1.0, 0.8])
     return rrb.Spatial3DView(
-        origin="world",
-        name="World",
+        origin=origin,
+        name=name,
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=eye, look_target=centre),
     )

@@ -9,12 +9,13 @@ from collections.abc import Generator
 from contextlib import ExitStack
 from pathlib import Path
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from PIL import Image
 
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.files import replaced
+from sdfgcn.viz.colors import STATUS_COLORS
 from sdfgcn.viz.video_config import VideoConfig
 
 
@@ -32,6 +33,7 @@ class FilmFile:
         self._part = self.path
         self._ffmpeg: Generator[None, bytes | None, None] | None = None
         self._kept: list[Image.Image] = []
+        self._palette: Image.Image | None = None
 
     def __enter__(self) -> Self:
         """Create the file under a temporary name.
@@ -57,8 +59,8 @@ class FilmFile:
         elif self._config.format == "webp":
             self._kept.append(frame)
         else:  # one palette for all frames: what stands still stays the same, and takes no room
-            first = self._kept[0] if self._kept else None
-            self._kept.append(frame.quantize(palette=first, dither=Image.Dither.NONE))
+            self._palette = self._palette or _palette(frame)
+            self._kept.append(frame.quantize(palette=self._palette, dither=Image.Dither.NONE))
 
     def __exit__(
         self,
@@ -94,8 +96,19 @@ class FilmFile:
 
     def _save(self) -> None:
         first, *rest = self._kept
-        options = {"save_all": True, "append_images": rest, "loop": 0}
+        options: dict[str, Any] = {"save_all": True, "append_images": rest, "loop": 0}
         options |= {"duration": round(1000 / self._config.fps), "optimize": True}
         if self._config.format == "webp":
             options |= {"quality": self._config.quality, "method": 4, "minimize_size": True}
         first.save(self._part, **options)
+
+
+def _palette(first: Image.Image) -> Image.Image:
+    """The 256 colours of a film, from its first frame and what words will be written in."""
+    swatch = max(8, first.height // 12)
+    sample = Image.new("RGB", (first.width, first.height + swatch))
+    sample.paste(first)
+    for number, color in enumerate(STATUS_COLORS.values()):
+        x = number * swatch
+        sample.paste(color, (x, first.height, x + swatch, first.height + swatch))
+    return sample.quantize(256)

@@ -72,7 +72,9 @@ class Film:
         jumps = self._viz.jump_frames
         if motion is None or not len(motion.robot) or before.poses is None:
             there: list[Placed] = [(self._posture, self._poses(before))] * jumps
-            during: list[Placed] = [(self._posture, self._poses(step.after))] * self._viz.push_frames
+            during: list[Placed] = [
+                (self._posture, self._poses(step.after))
+            ] * self._viz.push_frames
         else:
             there = [
                 (self._posture + share * (motion.robot[0] - self._posture), before.poses)
@@ -179,9 +181,7 @@ class Film:
         return words
 
 
-def evenly(
-    robot: NDArray[np.float64], poses: NDArray[np.float64], count: int
-) -> NDArray[np.intp]:
+def evenly(robot: NDArray[np.float64], poses: NDArray[np.float64], count: int) -> NDArray[np.intp]:
     """Which moments of a motion to show so that equally much happens between any two.
 
     Args:

@@ -12,8 +12,8 @@ from sdfgcn.config import EnvConfig
 from sdfgcn.envs.records import EpisodeStart, StepRecord
 from sdfgcn.viz import Recorder
 from sdfgcn.viz.video_config import VideoConfig
-from sdfgcn.viz.video_film import Film
 from sdfgcn.viz.video_files import FilmFile
+from sdfgcn.viz.video_film import Film
 
 
 class VideoRecorder(Recorder):
