@@ -66,7 +66,7 @@ def test_rows_are_those_of_separate_runs(
 
 def test_a_row_for_each_agent(compared: tuple[Path, str]) -> None:
     folder, out = compared
-    title, head, *rows, note, where = out.splitlines()
+    title, _, *rows, _, where = out.splitlines()
     assert title.startswith("2 household objects (test), env paper, robot gripper")
     assert [row.split()[:2] for row in rows] == [["push_model", "2"], ["rule_based", "2"]]
     assert where == f"Run folder: {folder}"

@@ -127,8 +127,8 @@ def test_the_camera_looks_at_its_target():
     np.testing.assert_allclose(camera.position - target, [0, np.sqrt(3), 1], atol=1e-9)
     np.testing.assert_allclose(camera.project(target), [50, 50])
     # From the far side of the table, +x is on the left, and up is up.
-    assert camera.project(target + [0.1, 0, 0])[0] < 50
-    assert camera.project(target + [0, 0, 0.1])[1] < 50
+    assert camera.project(target + np.array([0.1, 0, 0]))[0] < 50
+    assert camera.project(target + np.array([0, 0, 0.1]))[1] < 50
 
 
 def test_frames_are_spread_over_what_happens():
