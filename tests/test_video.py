@@ -113,7 +113,7 @@ def test_objects_are_where_they_lie():
 def test_captions_tell_the_distances():
     film = Film(ENV, VIZ, episode_start())
     words = "".join(word.text for word in film._distance_words(np.array([0.03, 0.25, np.nan])))
-    assert words.split() == ["to", "goal", "(mm):", "0", "30", "✓", "1", "250", "2", "-"]
+    assert words.split() == ["mm:", "0", "30", "✓", "1", "250", "2", "-"]
     # The first cube starts a quarter of a metre from its goal, as the second does.
     poses = episode_start().start.poses
     np.testing.assert_allclose(film._distances(poses, None), [0.25, 0.25, 1.0])

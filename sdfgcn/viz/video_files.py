@@ -6,7 +6,7 @@ Only this file imports imageio-ffmpeg.
 from __future__ import annotations
 
 from collections.abc import Generator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -70,9 +70,7 @@ class FilmFile:
     ) -> None:
         """Finish the file, or remove it after an exception."""
         with self._stack:
-            if self._ffmpeg is not None:
-                self._ffmpeg.close()
-                self._ffmpeg = None
+            self._close_ffmpeg(may_fail=error is not None)  # Ctrl-C ends it, too
             if error is None and self._kept:
                 self._save()
             self._kept = []
@@ -93,6 +91,12 @@ class FilmFile:
             )
             self._ffmpeg.send(None)
         self._ffmpeg.send(frame.tobytes())
+
+    def _close_ffmpeg(self, may_fail: bool) -> None:
+        if self._ffmpeg is not None:
+            with suppress(*[OSError] * may_fail):
+                self._ffmpeg.close()
+            self._ffmpeg = None
 
     def _save(self) -> None:
         first, *rest = self._kept

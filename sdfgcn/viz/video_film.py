@@ -61,7 +61,7 @@ class Film:
     def opening(self) -> Iterator[Image.Image]:
         """The start of the episode, held."""
         words = [Words(f"Start, {self._episode.n_objects} objects", WHITE, bold=True)]
-        hint = [Words("goals outlined", DIM)]
+        hint = [Words("goals outlined, mm to go below", DIM)]
         unknown = np.full(self._episode.n_objects, np.nan)
         yield from self._held(words, hint, self._distances(self._now.poses, unknown))
 
@@ -172,7 +172,7 @@ class Film:
 
     def _distance_words(self, distances: NDArray[np.float64]) -> list[Words]:
         """Each object's number in its colour, and how far it is from its goal."""
-        words = [Words("to goal (mm): ", DIM)]
+        words = [Words("mm: ", DIM)]
         for slot, distance in enumerate(distances):
             there = bool(distance <= self._env.success_threshold)
             told = f"{1000 * distance:.0f}" if np.isfinite(distance) else "-"
