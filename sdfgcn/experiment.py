@@ -7,17 +7,31 @@ from dataclasses import replace
 from typing import Any
 
 from sdfgcn.config import Config, QNetworkConfig
-from sdfgcn.evaluation.evaluate import Evaluation, HeldOutEvaluation, evaluate, watch
+from sdfgcn.evaluation.evaluate import (
+    Evaluation,
+    HeldOutEvaluation,
+    MakeRecorder,
+    evaluate,
+    watch,
+)
 from sdfgcn.evaluation.results import summarise
 from sdfgcn.loggers import Logger
 from sdfgcn.registry import LOGGERS, RECORDERS
 from sdfgcn.run_folder import RunFolder
 
 
-def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
+def run_experiment(
+    config: Config, folder: RunFolder, make_recorder: MakeRecorder | None = None
+) -> dict[str, Any]:
     """Train if needed, play the missing episodes and write the results of all episodes.
 
-    Returns the content of `results.json`.
+    Args:
+        config: The whole config.
+        folder: Where everything is written.
+        make_recorder: Records the first episodes; None stands for what `config.viz` names.
+
+    Returns:
+        The content of `results.json`.
 
     Raises:
         SdfgcnError: The objects are not available, or a layout does not fit on the table.
@@ -31,7 +45,7 @@ def run_experiment(config: Config, folder: RunFolder) -> dict[str, Any]:
     evaluation = Evaluation(
         config,
         folder.path / "recordings",
-        RECORDERS.find(config.viz.name),
+        make_recorder or RECORDERS.find(config.viz.name),
     )
     finished = folder.finished
     missing = evaluate(evaluation, {episode.episode for episode in finished})

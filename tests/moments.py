@@ -1,8 +1,11 @@
 """An episode of three cubes on a table, laid out by hand, as an environment reports it."""
 
-import numpy as np
+from dataclasses import replace
 
-from sdfgcn.config import ArenaConfig, EnvConfig, PushConfig
+import numpy as np
+from configs import real_config
+
+from sdfgcn.config import VizConfig
 from sdfgcn.envs.records import EpisodeStart, Push, Snapshot, StepRecord
 from sdfgcn.objects.model import ObjectModel, Rest
 from sdfgcn.perception.sdf import SdfTransform
@@ -19,10 +22,13 @@ CAMERA = CameraModel(np.array([0.0, 0.0, 1.0]), np.eye(3), fovy=np.pi / 2, size=
 START = [(-0.5, 0.0), (0.0, 0.5), (0.5, -0.5)]  # m, in slot order
 GOAL = [(-0.25, 0.0), (0.0, 0.25), (0.5, 0.5)]
 ORDER = [2, 0, 1]  # slot of each row: rows come in any order
-ENV = EnvConfig(
+_REAL = real_config("objects=household", "robot=gripper").env
+ENV = replace(
+    _REAL,
     success_threshold=0.05,
-    push=PushConfig(directions=8, length=0.5, plane_height=0.0),
-    arena=ArenaConfig(
+    push=replace(_REAL.push, length=0.5, plane_height=0.0),
+    arena=replace(
+        _REAL.arena,
         spawn_x=[-0.6, 0.6],
         spawn_y=[-0.6, 0.6],
         range_x=[-0.8, 0.8],
@@ -92,6 +98,7 @@ def motion() -> Motion:
     moved = [-0.5, -0.5, -0.25, -0.25]
     return Motion(
         phases=("descent", "push", "push", "lift"),
+        joints=np.array([[*place, 0.0] for place in tool]),
         links=np.array([poses_at([0, -1, 0], place) for place in tool]),
         objects=np.array([moment([(x, 0.0), *START[1:]]).poses for x in moved]),
     )
@@ -156,9 +163,16 @@ def episode_steps(known: bool = True) -> list[StepRecord]:
     ]
 
 
+def viz_of(name: str) -> VizConfig:
+    """The config of a recorder; a film is small and short."""
+    viz = real_config(f"viz={name}").viz
+    small = {"width": 200, "height": 160, "push_frames": 3, "jump_frames": 1, "hold": 0.25}
+    return replace(viz, **{key: value for key, value in small.items() if hasattr(viz, key)})
+
+
 def record(path, episode=None, steps=None, name="rerun") -> None:
     """Write a recording of this episode, or of another."""
-    with RECORDERS[name](path, ENV) as recorder:
+    with RECORDERS[name](path, ENV, viz_of(name)) as recorder:
         recorder.start(episode or episode_start())
         for step in episode_steps() if steps is None else steps:
             recorder.step(step)

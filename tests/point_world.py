@@ -12,7 +12,7 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 
-from sdfgcn.config import EnvConfig
+from sdfgcn.config import EnvConfig, VizConfig
 from sdfgcn.envs.records import EpisodeStart, Push, Snapshot, StepRecord
 from sdfgcn.task.camera import camera_model
 from sdfgcn.task.push_space import PushSpace
@@ -138,7 +138,7 @@ class Endless(PointWorld):
 class Notes:
     """A recorder that writes what it was given as text."""
 
-    def __init__(self, path: Path, env: EnvConfig) -> None:
+    def __init__(self, path: Path, env: EnvConfig, viz: VizConfig | None = None) -> None:
         self.path = path
 
     def __enter__(self) -> "Notes":

@@ -185,9 +185,9 @@ def test_scenes_follow_from_the_seed_of_the_evaluation(tmp_path: Path) -> None:
 def test_first_episodes_are_recorded(tmp_path: Path) -> None:
     episodes = list(evaluate(point_world(tmp_path, "viz.episodes=2")))
     notes = {path.name: path.read_text().splitlines() for path in tmp_path.glob("*/*")}
-    assert sorted(notes) == ["episode_000.rrd", "episode_001.rrd"]
+    assert sorted(notes) == ["episode_000", "episode_001"]
     for index in range(2):
-        assert len(notes[f"episode_00{index}.rrd"]) == 1 + episodes[index].pushes
+        assert len(notes[f"episode_00{index}"]) == 1 + episodes[index].pushes
     plain = list(evaluate(point_world(tmp_path)))
     assert without_time(plain) == without_time(episodes)
 

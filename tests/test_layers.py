@@ -37,11 +37,15 @@ LAYERS = (
     ("experiment", "sweep"),
     ("comparison",),
     ("cli",),
+    ("compare",),
 )
 RANK = {name: rank for rank, layer in enumerate(LAYERS) for name in layer}
 
 # Each only in the folder that needs it.
-OPTIONAL = {"rerun": "viz", "trimesh": "sources", "coacd": "sources", "gymnasium": "sdfgcn"}
+OPTIONAL = {
+    **{"rerun": "viz", "imageio_ffmpeg": "viz", "trimesh": "sources", "coacd": "sources"},
+    "gymnasium": "sdfgcn",
+}
 
 # Loaded only by what needs them; torch takes seconds, and MuJoCo fails to load without OpenGL.
 LAZY = (*OPTIONAL, "torch", "torchrl", "tensordict", "mujoco", "dm_control", "scipy")

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sdfgcn.config import Config, EnvConfig
+from sdfgcn.config import Config, EnvConfig, VizConfig
 from sdfgcn.errors import SdfgcnError
 from sdfgcn.evaluation.episodes import EpisodeResult
 from sdfgcn.evaluation.play import Env, Recorder, episode_seeds, play_episode
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from sdfgcn.models.q_network import QNetwork
 
 MakeEnv = Callable[[EnvConfig], Env]
-MakeRecorder = Callable[[Path, EnvConfig], AbstractContextManager[Recorder]]
+MakeRecorder = Callable[[Path, EnvConfig, VizConfig], AbstractContextManager[Recorder]]
 
 
 def make_rearrangement(env: EnvConfig) -> Env:
@@ -50,7 +50,7 @@ class Evaluation:
     Attributes:
         config: The whole config.
         recordings: Folder for the recordings of the first `config.viz.episodes` episodes.
-        make_recorder: Builds an episode's recorder, given the file to write.
+        make_recorder: Builds an episode's recorder, given the file to write without its suffix.
         make_env: Builds the environment; called once per process.
     """
 
@@ -187,8 +187,8 @@ class _Player:
         evaluation = self._evaluation
         if episode >= evaluation.config.viz.episodes:
             return nullcontext()
-        path = evaluation.recordings / f"episode_{episode:03d}.rrd"
-        return evaluation.make_recorder(path, evaluation.config.env)
+        path = evaluation.recordings / f"episode_{episode:03d}"
+        return evaluation.make_recorder(path, evaluation.config.env, evaluation.config.viz)
 
     def close(self) -> None:
         if self._env is not None:

@@ -114,6 +114,22 @@ def text(results: Results, beside: Sequence[Results] = ()) -> str:
     named = list(_PRINTED)
     if results["checkpoint"] not in (None, results["model"]):
         named.insert(1, "checkpoint")
+    return _below(results, named, rows)
+
+
+def agents_text(results: Mapping[str, Results]) -> str:
+    """Format evaluations of several agents on the same scenes as aligned rows.
+
+    Args:
+        results: The `results.json` of each agent, by its title.
+    """
+    rows = [["", "episodes", *(head for _, head, _ in _FIGURES)]]
+    rows += [[name, str(row["episodes"]), *_figures(row)] for name, row in results.items()]
+    return _below(next(iter(results.values())), [k for k in _PRINTED if k != "model"], rows)
+
+
+def _below(results: Results, named: list[str], rows: Sequence[Sequence[str]]) -> str:
+    """Rows below the conditions of an evaluation."""
     if not _has_paper_threshold(results):
         named.append("success_threshold")
     objects = f"{results['n_objects']} {results['objects']} objects ({results['split']})"

@@ -32,7 +32,7 @@ class Prop(composer.Entity):
     def _build(self, model: ObjectModel, physics: PhysicsConfig) -> None:
         self.model = model
         self._root = mjcf.RootElement(model=model.name)
-        material = _add_visual_assets(self._root, model)
+        material = add_visual_assets(self._root, model)
         body = self._root.worldbody
         self.visual = body.add(
             "geom",
@@ -95,7 +95,7 @@ def rolls(model: ObjectModel) -> bool:
     return False
 
 
-def _add_visual_assets(root: mjcf.RootElement, model: ObjectModel) -> str | None:
+def add_visual_assets(root: mjcf.RootElement, model: ObjectModel) -> str | None:
     """Add the visual mesh and any texture; return the material's name, None without texture."""
     root.asset.add("mesh", name="visual", file=mjcf.Asset(_msh(model), ".msh"), inertia="shell")
     if model.texture is None:

@@ -148,7 +148,7 @@ class RearrangementTask(composer.Task):
         result = self._primitive.execute(physics, command, watch)
         options.noslip_iterations = self._config.physics.noslip_iterations
         if result.status != "unreachable":
-            self._settle(physics)
+            self._settle(physics, watch)
         self._check_stable(physics)
         self.set_poses(physics, self.poses(physics))
         return result
@@ -178,7 +178,7 @@ class RearrangementTask(composer.Task):
         mujoco.mj_kinematics(physics.model.ptr, physics.data.ptr)
         mujoco.mj_camlight(physics.model.ptr, physics.data.ptr)
 
-    def _settle(self, physics: mjcf.Physics) -> None:
+    def _settle(self, physics: mjcf.Physics, watch: Watch | None = None) -> None:
         """Step until every prop sleeps, for at most `settle_seconds`."""
         config = self._config.physics
         model, data = physics.model.ptr, physics.data.ptr
@@ -187,6 +187,8 @@ class RearrangementTask(composer.Task):
             if (data.tree_asleep[trees] >= 0).all():
                 return
             mujoco.mj_step(model, data, SETTLE_STEPS)
+            if watch is not None:
+                watch("settle")
 
     def _check_stable(self, physics: mjcf.Physics) -> None:
         """Check the simulation since the last `set_poses`, which clears MuJoCo's warnings."""

@@ -161,8 +161,9 @@ class MujocoWorld:
             objects.append(self.poses())
 
         result = self.task.execute(self.physics, command, watch)
-        links = self._links(np.array(joints))
-        return replace(result, motion=Motion(tuple(phases), links[1:], np.array(objects)[1:]))
+        moments = np.array(joints)[1:]
+        motion = Motion(tuple(phases), moments, self._links(moments), np.array(objects)[1:])
+        return replace(result, motion=motion)
 
     def robot_shape(self) -> RobotShape | None:
         """What the robot looks like; None if it has no visual geoms."""

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from sdfgcn.objects.model import ObjectModel
 
 PushStatus = Literal["done", "blocked", "unreachable", "no_contact"]
-Phase = Literal["descent", "push", "lift"]
+Phase = Literal["descent", "push", "lift", "settle"]
 
 
 @dataclass(frozen=True)
@@ -73,12 +73,14 @@ class Motion:
     """The course of one push, at T moments in their order; T is 0 if the robot did not move.
 
     Attributes:
-        phases: [T] what the robot did.
+        phases: [T] what the robot did; while objects settle, it is at home.
+        joints: float64 [T, J] positions of its drives, radians or metres.
         links: float64 [T, L, 7] poses of the robot's links, in the order of its shape.
         objects: float64 [T, n, 7] poses of the objects, by slot.
     """
 
     phases: tuple[Phase, ...]
+    joints: NDArray[np.float64]
     links: NDArray[np.float64]
     objects: NDArray[np.float64]
 

@@ -26,7 +26,7 @@ def blueprint(
         with_scores: Whether there are scores of an explanation.
     """
     top = rrb.Horizontal(
-        _pictures(), _world_view(arena), _sdfs(n_objects), column_shares=[1.0, 1.35, 1.0]
+        _pictures(), world_view(arena), _sdfs(n_objects), column_shares=[1.0, 1.35, 1.0]
     )
     values = [_values(n_objects, n_directions, with_scores)] if with_values else []
     bottom = rrb.Horizontal(
@@ -121,16 +121,16 @@ def _words() -> rrb.Tabs:
     )
 
 
-def _world_view(arena: ArenaConfig) -> rrb.Spatial3DView:
+def world_view(arena: ArenaConfig, origin: str = "world", name: str = "World") -> rrb.Spatial3DView:
     """The 3D view from the camera's side, so that left and right are nearly as in the pictures."""
     (x_low, x_high), (y_low, y_high) = arena.reach_x, arena.reach_y
     centre = np.array([(x_low + x_high) / 2, (y_low + y_high) / 2, 0.05])
     # From the right, as the arm stands at the near side.
     eye = centre + (y_high - y_low) * np.array([1.05, -0.95, 0.95])
     return rrb.Spatial3DView(
-        origin="world",
+        origin=origin,
         contents=["+ $origin/**", "- $origin/camera/**", "+ $origin/camera"],
-        name="World",
+        name=name,
         line_grid=False,
         eye_controls=rrb.EyeControls3D(position=eye, look_target=centre),
     )

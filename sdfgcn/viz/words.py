@@ -95,6 +95,11 @@ def score_table(names: list[str], step: StepRecord, count: int = 10) -> str:
     return "\n".join(lines)
 
 
+def push_heading(name: str, step: StepRecord) -> str:
+    """A few words for a push of the object called `name`."""
+    return _push(name, step).replace(" degrees", "°")
+
+
 def outcome(last: StepRecord | None) -> str:
     """The outcome of an episode, given its last push."""
     if last is None:
