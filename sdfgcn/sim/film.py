@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from sdfgcn.config import RobotConfig
 from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.props import add_visual_assets
+from sdfgcn.sim.robots.robot import visuals_kept
 from sdfgcn.task.camera import CameraModel
 from sdfgcn.task.world import Truth
 
@@ -57,7 +58,8 @@ class FilmScene:
         """Compile the scene; the visual meshes of an arm take seconds."""
         self._look = look
         root = _stage(camera, look)
-        self._robot = ROBOTS.find(robot.name)(config=robot)
+        with visuals_kept():
+            self._robot = ROBOTS.find(robot.name)(config=robot)
         root.attach(self._robot.mjcf_model)
         added = [_add_object(root, slot, truth, look) for slot in range(len(truth.objects))]
         free, self._ghosts = zip(*added, strict=True)

@@ -18,7 +18,6 @@ from sdfgcn.sim.arena import GROUP_PARKED, GROUP_SCENE, Table
 from sdfgcn.sim.episode import EpisodeSpec
 from sdfgcn.sim.props import CONAFFINITY_PROP, CONTYPE_PROP, PARKING, Prop
 from sdfgcn.sim.push import PushPrimitive
-from sdfgcn.sim.robots.robot import drop_visuals
 from sdfgcn.sim.tape import Tape
 from sdfgcn.task.world import PushCommand, PushResult
 
@@ -38,7 +37,6 @@ class RearrangementTask(composer.Task):
         self._config = config
         self._table = Table(arena=config.arena, physics=config.physics)
         self.robot = ROBOTS[config.robot.name](config=config.robot)
-        drop_visuals(self.robot.mjcf_model)  # no picture of the task shows the robot
         self._table.attach(self.robot)
         self._props = [Prop(model=model, physics=config.physics) for model in catalogue]
         for i, prop in enumerate(self._props):

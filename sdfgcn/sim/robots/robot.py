@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import abc
 import functools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 
 import mujoco
 import numpy as np
@@ -138,15 +140,35 @@ def load_gripper() -> mjcf.RootElement:
     # The arena sets the physics options for the whole model.
     del gripper.option.cone
     del gripper.option.impratio
+    drop_visuals(gripper)
     prepare(gripper)
     return gripper
 
 
-def drop_visuals(root: mjcf.RootElement) -> None:
-    """Remove a robot's visual geoms and meshes, which only a film shows (`sdfgcn.sim.film`).
+_films = ContextVar("_films", default=False)
+
+
+@contextmanager
+def visuals_kept() -> Iterator[None]:
+    """Robots built in the block keep their visual geoms, for a film (`sdfgcn.sim.film`)."""
+    token = _films.set(True)
+    try:
+        yield
+    finally:
+        _films.reset(token)
+
+
+def drop_visuals(root: mjcf.RootElement, always: bool = False) -> None:
+    """Remove a robot's visual geoms and meshes, which only a film shows; see `visuals_kept`.
 
     The arm's take 300 MB and three seconds to compile.
+
+    Args:
+        root: The robot's model.
+        always: Whether to remove them within `visuals_kept`, too.
     """
+    if _films.get() and not always:
+        return
     for geom in root.find_all("geom"):
         if geom.dclass is not None and geom.dclass.dclass.endswith("visual"):
             geom.remove()
@@ -201,6 +223,4 @@ def _close(gripper: mjcf.RootElement) -> mjcf.Physics:
 @functools.cache
 def closed_fingers() -> NDArray:
     """[8] finger joint positions (radians) of the closed gripper, found by closing it once."""
-    gripper = load_gripper()
-    drop_visuals(gripper)
-    return _close(gripper).data.qpos.copy()
+    return _close(load_gripper()).data.qpos.copy()

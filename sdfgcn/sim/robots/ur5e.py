@@ -57,7 +57,7 @@ class _Kinematics:
 
     def __init__(self, config: UR5eConfig):
         root = _load_arm(config)
-        drop_visuals(root)
+        drop_visuals(root, always=True)
         flange = root.find("site", "attachment_site")
         flange.parent.add(
             "site",
@@ -114,6 +114,7 @@ def _load_arm(config: UR5eConfig) -> mjcf.RootElement:
         key.remove()
     for light in arm.find_all("light"):
         light.remove()
+    drop_visuals(arm)
     arm.find("body", "base").pos = config.base_position
     return arm
 
