@@ -97,7 +97,7 @@ class RerunRecorder(Recorder):
         self._at(1)
         self._log_now(episode.start)
         self._log_distances(goal_distances(episode.start, episode.goal))
-        self._log("log", rr.TextLog(f"Start of the episode with seed {episode.seed}."))
+        self._log_text(f"Start of the episode with seed {episode.seed}.")
 
     def step(self, step: StepRecord) -> None:
         """Record one push with the scene before it, and the scene after it."""
@@ -229,6 +229,11 @@ class RerunRecorder(Recorder):
         text = push_sentence(names[row] if row < len(names) else f"row {row}", step)
         self._log("log", rr.TextLog(text, level=level, color=STATUS_COLORS[status]))
 
+    def _log_text(self, text: str) -> None:
+        """Log a line with the components of those of pushes, so that all keep their order."""
+        level, color = rr.TextLogLevel.INFO, (200, 200, 200)
+        self._log("log", rr.TextLog(text, level=level, color=color))
+
     def _log_motion(self, decision: Decision) -> None:
         """Log the moments of the push and, last, how far the objects moved."""
         step = decision.step
@@ -295,7 +300,7 @@ class RerunRecorder(Recorder):
         ended, pushes = outcome(last), last.index if last else 0
         self._log("summary", markdown(summary(episode, last, self._return)), static=True)
         end = f"{ended} after {pushes} pushes".capitalize() + "."
-        self._log("log", rr.TextLog(end))
+        self._log_text(end)
         self._log("words", markdown(f"### {end}"))
         assert self._stream is not None
         properties = rr.AnyValues(
