@@ -156,7 +156,7 @@ def test_tracked_files_are_written_only_when_asked(
     monkeypatch.setattr(common, "SCRATCH", tmp_path / "ignored")
     page = tmp_path / "docs" / "results.md"
     page.parent.mkdir()
-    page.write_text(README)
+    page.write_text(PAGE)
     (tmp_path / "README.md").write_text("no place\n")
     run = finished_run(tmp_path / "run")
     assert table.main(["mine", str(run), *(["--publish"] if publish else [])]) == 0
