@@ -5,8 +5,8 @@
     python experiments/comparison.py table1 multirun/table1 --seeds 0 --partial
 
 Writes `<name>.json` (every row), `<name>.md` and figures, `<name>_*.png`, to `outputs/experiments`;
-`--publish` and `--page` are as in `table.py`; the first renews the README's table, too. A missing
-method, seed or cell is an error; ask for less with `--methods` and `--seeds`, or leave out
+`--publish` and `--page` are as in `table.py`, and `--publish` renews the README's table, too. A
+missing method, seed or cell is an error; ask for less with `--methods` and `--seeds`, or leave out
 unfinished cells with `--partial`.
 """
 

@@ -51,13 +51,16 @@ def keys(values: dict[str, Any], prefix: str) -> Iterator[str]:
 
 
 def comments(lines: list[str]) -> Iterator[str]:
-    """What the comments of a YAML file say, line by line; not those in its list of defaults."""
-    in_defaults = False
+    """What the comments of a YAML file say, line by line.
+
+    Not those in its list of defaults, nor in Hydra's text of `--help`.
+    """
+    left_out = False
     for line in lines:
-        if not line.startswith((" ", "-", "#")):
-            in_defaults = line.startswith("defaults:")
+        if re.match(r"(  )?\w", line):
+            left_out = line.startswith(("defaults:", "  help:"))
         found = re.search(r"(?:^|\s)#\s*(.*)", line)
-        if found and not in_defaults and not line.startswith("# @package"):
+        if found and not left_out and not line.startswith("# @package"):
             yield found[1].strip().removesuffix(".")
 
 
