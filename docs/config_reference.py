@@ -22,9 +22,14 @@ from sdfgcn.compose import conf_dir
 from sdfgcn.config import Config, SegmentationTrainingConfig
 from sdfgcn.registry import REGISTRIES
 
-ROOTS = {"config": Config, "train_segmentation": SegmentationTrainingConfig}
+ROOTS = {
+    "config": Config,
+    "compare": Config,
+    "train_segmentation": SegmentationTrainingConfig,
+}
 TITLES = {
     "config": "Keys without a group",
+    "compare": "Keys that `python -m sdfgcn.compare` sets",
     "train_segmentation": "Training of the segmentation network",
 }
 NO_KEYS = ("defaults", "hydra.help")  # Hydra's list of options, and the text of `--help`

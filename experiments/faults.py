@@ -39,11 +39,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import common
 import numpy as np
-from common import RESULTS, ROOT, load, parse
+from common import PUBLISH, RESULTS, ROOT, load, parse
 from faults_process import Ended, run, run_on_small_disk
 from faults_table import STRIKES, Strike, Trial, markdown, outcome, united, write
 from tqdm import tqdm
+
+from sdfgcn.errors import SdfgcnError
 
 PRELOADED = ("sdfgcn.cli", "sdfgcn.train.training", "sdfgcn.envs.rearrangement", "scipy.stats")
 TIMES = {"wall_s", "seconds", "pushes_per_s", "updates_per_s"}
@@ -315,21 +318,19 @@ def disturbed(faults: Faults, minutes: int) -> Iterator[Trial | Strike | None]:
         k += 1
 
 
-def main() -> None:
-    if {"-h", "--help"} & set(sys.argv):
-        print(__doc__)
-        return
-    given = [argument for argument in sys.argv[1:] if argument != "--publish"]
-    own, folders = parse(given, {"minutes": 25, "seed": 0})
+def main(arguments: Sequence[str]) -> None:
+    own, folders, _ = parse(arguments, {"minutes": 25, "seed": 0}, __doc__ or "")
     if lost := [name for name in folders if not (Path(name) / "faults.json").exists()]:
-        raise SystemExit(f"There is no {lost[0]}/faults.json; python experiments/faults.py --help")
+        raise SdfgcnError(
+            f"There is no {lost[0]}/faults.json; see python experiments/faults.py --help."
+        )
     folder = ROOT / "outputs" / "faults" / datetime.now().strftime("%Y-%m-%d_%H-%M-%S")
     if folders:
         result = united([json.loads((Path(name) / "faults.json").read_text()) for name in folders])
         write(folder, result)
     else:
         result = tried(folder, own)
-    if "--publish" in sys.argv:
+    if PUBLISH in arguments:
         write(RESULTS, result)
     print(markdown(result), f"Written to {folder}", sep="\n")
 
@@ -355,4 +356,4 @@ def tried(folder: Path, own: dict[str, int]) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(common.run(lambda: main(sys.argv[1:])))

@@ -316,6 +316,7 @@ def together(runs: Sequence[dict[str, Any]]) -> dict[str, Any]:
             kind: max(
                 (run["slowest"][kind] for run in runs if kind in run["slowest"]),
                 key=lambda one: one["cpu_seconds"],
+                default=None,
             )
             for kind in ("push", "reset")
         },

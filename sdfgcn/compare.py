@@ -161,7 +161,7 @@ def _played_again(config: Config, episode: int) -> Episode:
     records = Records()
     here = replace(config, runtime=replace(config.runtime, workers=0))
     others = set(range(config.eval.episodes)) - {episode}
-    evaluate(Evaluation(here, Path(), lambda *_: records), others)
+    list(evaluate(Evaluation(here, Path(), lambda *_: records), others))
     assert records.episode is not None
     return records.episode
 

@@ -46,10 +46,11 @@ class GymRearrangement(gymnasium.Env[Observation, np.int64]):
         Raises:
             SdfgcnError, HydraException, OmegaConfBaseException: See `sdfgcn.make_env`.
         """
-        from sdfgcn import make_env
+        from sdfgcn.compose import load_config
+        from sdfgcn.envs.rearrangement import RearrangementEnv
 
         self.render_mode = render_mode
-        self._env = make_env(*overrides)
+        self._env = RearrangementEnv(load_config(*overrides).env)
         self.observation_space = _space(self._env.observation_spec)
         self.action_space = spaces.Discrete(self._env.action_spec.n)
 

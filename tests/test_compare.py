@@ -115,7 +115,8 @@ def test_what_cannot_be_compared_is_one_sentence(
 def test_an_error_has_no_traceback() -> None:
     done = run("checkpoint=push_model,nobody")
     assert done.returncode == 1
-    (line,) = done.stderr.splitlines()
+    folder, line = done.stderr.splitlines()
+    assert folder.startswith("Run folder: ")
     assert line.startswith("checkpoint names 'nobody'")
 
 

@@ -89,9 +89,11 @@ def test_every_key_and_comment_is_in_the_reference(path: Path, reference: str) -
         # The same for all options; one line for each value; a value and a meaning for each option.
         "`env.push.length` = `0.06`\n: m that the tool travels, counted from `length_from` (the "
         "authors' 0.06). *Must be above 0",
-        "`viz.episodes`\n: `none`: `0`\n: `rerun`: `3`\n: number of episodes to record, starting",
+        "`viz.episodes`\n: `both`, `video`: `1`\n: `none`: `0`\n: `rerun`: `3`\n: number of "
+        "episodes to record, starting",
         "`env.scenario.max_tries`\n: `circle`, `line`, `random`, `sort`, `swap`: `100`: placements "
-        "tried per object (line: per row) before other objects are drawn. *Must be at least 1",
+        "tried per object (line: per row) before other objects are drawn. *Must lie between 1 and "
+        "100000",
         # Inherited from the option that it extends, with a comment above it there.
         "`model.features`\n: `gt_pose_gcn`: `position`: node features: center",
         "- **`push_model`**: Beyond the paper: ",

@@ -241,9 +241,12 @@ OPTIONAL_PACKAGES = {"tensorboard", "wandb"}  # loggers that are extras of the s
 
 
 @pytest.mark.parametrize("name", sorted(LOGGERS))
-def test_watching_passes_episodes_on_and_logs_them(name: str, tmp_path: Path) -> None:
+def test_watching_passes_episodes_on_and_logs_them(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if name in OPTIONAL_PACKAGES:
         pytest.importorskip(name)
+    monkeypatch.setenv("WANDB_MODE", "offline")
     episodes = list(evaluate(point_world(tmp_path)))
     done, rest = episodes[:1], episodes[1:]
     logger = LOGGERS[name](real_config(f"logger={name}").logger, tmp_path)

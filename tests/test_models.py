@@ -118,7 +118,10 @@ def test_reads_plain_tensordicts_too(name: str) -> None:
 
 @pytest.mark.parametrize("n_directions", [4, 16])
 def test_as_many_values_a_row_as_directions(name: str, n_directions: int) -> None:
-    net = build_q_network(model_config(name), n_directions, 4, SIZE, 0)
+    config = model_config(name)
+    if name == "polar_q":  # its maps keep a quarter of their angles
+        config = replace(config, angles=4 * n_directions)
+    net = build_q_network(config, n_directions, 4, SIZE, 0)
     td = random_observation(0, 4, (2,))
     values = net(td)["action_value"]
     assert values.shape == (2, 4 * n_directions)

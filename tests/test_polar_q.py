@@ -76,7 +76,7 @@ def test_a_mirror_image_mirrors_the_pushes():
 
 def test_values_turn_with_the_world():
     """Discs and goals in the middle of a wide table, turned by a direction: so do the values."""
-    wide = replace(real_config().env.arena, range_x=[-5.0, 5.0], range_y=[-5.0, 5.0])
+    wide = replace(real_config().env.arena, range_x=[-2.0, 2.0], range_y=[-2.0, 2.0])
     net = network(arena=wide)
     middle = torch.tensor([0.0, 0.06])
     objects = torch.tensor([[0.0, 0.04], [0.09, 0.06]])

@@ -103,7 +103,7 @@ def test_a_mirror_image_mirrors_the_pushes():
 
 def test_displacements_turn_with_the_world():
     """Discs in the middle of a wide table, turned by a direction: the displacements turn too."""
-    wide = replace(config().model.arena, range_x=[-5.0, 5.0], range_y=[-5.0, 5.0])  # no border near
+    wide = replace(config().model.arena, range_x=[-2.0, 2.0], range_y=[-2.0, 2.0])  # no border near
     net = network(arena=wide)
     net.eval()
     objects = torch.tensor([[0.0, 0.04], [0.09, 0.06], [-0.02, 0.16]])

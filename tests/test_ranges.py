@@ -393,7 +393,8 @@ def test_the_command_refuses_in_a_sentence(override: str, told: str, tmp_path: P
     command = [sys.executable, str(RUN), override, *more]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120)
     assert done.returncode == 1
-    assert done.stderr.startswith(told)
-    assert done.stderr.count("\n") == 1
+    folder, sentence = done.stderr.splitlines()
+    assert folder.startswith("Run folder: ")
+    assert sentence.startswith(told)
     assert "done" not in (tmp_path / "run" / "status.json").read_text()
     assert not (tmp_path / "run" / "results.json").exists()

@@ -52,7 +52,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("run")
     done = run(*SMALL, *GROWING, "model=gt_pose_gcn", "collector=async", f"hydra.run.dir={folder}")
     assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    assert done.stderr == f"Run folder: {folder}\n"
     assert "gt_pose_gcn (this run)" in done.stdout
     return folder
 
@@ -124,6 +124,7 @@ def test_a_layout_that_does_not_fit_is_told_from_another_process(tmp_path: Path)
     )
     done = run(*SMALL, "model=gt_pose_gcn", "collector=async", *wide)
     assert done.returncode == 1
-    assert done.stderr.startswith("No random layout of 2 objects was found in 200 draws; use fewer")
-    assert done.stderr.count("\n") == 1
+    folder, sentence = done.stderr.splitlines()
+    assert folder == f"Run folder: {tmp_path}"
+    assert sentence.startswith("No random layout of 2 objects was found in 200 draws; use fewer")
     assert json.loads((tmp_path / "status.json").read_text())["state"] == "failed"

@@ -126,6 +126,10 @@ class PolarQ(QNetwork):
             each angle, in units of `goal_unit`. What does not exist is as far as possible; the way
             to a goal that is not known is 0.
         """
+        with torch.autocast(asked.device.type, enabled=False):  # metres need all their digits
+            return self._surroundings(scene, goal, matched, asked)
+
+    def _surroundings(self, scene: Scene, goal: Scene, matched: Tensor, asked: Tensor) -> Tensor:
         batch, row = asked.nonzero(as_tuple=True)
         points = self.maps.points(scene.center[batch, row])[:, None]
         mine = torch.arange(asked.shape[1], device=row.device) == row[:, None]

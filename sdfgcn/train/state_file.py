@@ -90,7 +90,7 @@ def encoded(value: Any, tensors: dict[str, Tensor], path: str = "") -> Any:
         items = [encoded(item, tensors, f"{path}/{i}") for i, item in enumerate(value)]
         return items if isinstance(value, list) else {"tuple": items}
     if isinstance(value, Scene | TensorDictBase):
-        kind = type(value).__name__ if isinstance(value, Scene) else "TensorDict"
+        kind = _name(type(value)) if isinstance(value, Scene) else "TensorDict"
         fields = {key: encoded(item, tensors, f"{path}/{key}") for key, item in value.items()}
         return {"batch": [kind, list(value.batch_size), fields]}
     if isinstance(value, Mapping):
@@ -133,7 +133,11 @@ def _batch(name: str, size: list[int], values: dict[str, Any]) -> TensorDictBase
     if name == "TensorDict":
         return TensorDict(values, batch_size=size)
     # Only classes that are there already: nothing that a file names is imported.
-    return {kind.__name__: kind for kind in _kinds(Scene)}[name](**values, batch_size=size)
+    return {_name(kind): kind for kind in _kinds(Scene)}[name](**values, batch_size=size)
+
+
+def _name(kind: type[Scene]) -> str:
+    return f"{kind.__module__}.{kind.__qualname__}"
 
 
 def _kinds(base: type[Scene]) -> Iterator[type[Scene]]:

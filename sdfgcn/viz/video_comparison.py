@@ -8,9 +8,9 @@ from itertools import zip_longest
 from pathlib import Path
 
 from PIL import Image
-from tqdm import tqdm
 
 from sdfgcn.config import EnvConfig
+from sdfgcn.progress_bar import progress_bar
 from sdfgcn.viz.records import Episode
 from sdfgcn.viz.video_config import VideoConfig
 from sdfgcn.viz.video_drawing import side_by_side
@@ -65,4 +65,4 @@ def _watched(
     pushes = max(len(steps) for _, steps in episodes.values())
     held = 2 * max(1, round(viz.hold * viz.fps))
     total = held + pushes * (viz.jump_frames + viz.push_frames)
-    return tqdm(frames, total=total, unit="frame", desc="Filming", disable=None)
+    return progress_bar(frames, total=total, unit="frame", desc="Filming")
