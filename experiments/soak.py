@@ -138,6 +138,11 @@ class Soak:
         """Simulated time so far, seconds."""
         return self._meter.simulated
 
+    @property
+    def pushes(self) -> int:
+        """Pushes so far."""
+        return sum(case.pushes for case in self.cases)
+
     def play(self, case: Case) -> None:
         """Play one episode; the number of objects and the agent follow from how many there were."""
         began = monotonic()
@@ -185,22 +190,21 @@ class Soak:
                 "minutes": round(self.seconds / 60, 2),
                 "rss_mib": round(int(resident.split()[1]) / 1024, 1),
                 "descriptors": len(os.listdir("/proc/self/fd")),  # noqa: PTH208 - counts no Paths
-                "pushes": sum(case.pushes for case in self.cases),
+                "pushes": self.pushes,
                 "simulated_seconds": round(self._meter.simulated, 1),
             }
         )
 
     def result(self) -> dict[str, Any]:
         """Everything so far, in JSON types."""
-        pushes = sum(case.pushes for case in self.cases)
         return {
             **self._about,
             "hours": self.seconds / 3600,
             "cpu_hours": (process_time() - self._cpu) / 3600,
-            "pushes": pushes,
+            "pushes": self.pushes,
             "episodes": sum(case.episodes - case.begun for case in self.cases),
             "simulated_seconds": self._meter.simulated,
-            "simulated_seconds_per_push": self._meter.simulated / max(pushes, 1),
+            "simulated_seconds_per_push": self._meter.simulated / max(self.pushes, 1),
             "nan": self._nan,
             "mujoco_warnings": dict(self._meter.warnings),
             "slowest": self._slowest,
@@ -288,13 +292,12 @@ def soak(
         run = Soak(made, {**about, "overrides": list(overrides), **provenance()})
         run.sample()
         bar = stack.enter_context(progress_bar(total=round(limit), unit="s", desc="Soak"))
-        while run.seconds < limit:
+        while run.seconds < limit or not run.pushes:
             run.play(min(made, key=lambda case: case.seconds / case.share))
             if run.seconds - 60 * run.samples[-1]["minutes"] >= SAMPLE_SECONDS:
                 run.sample()
                 write_json(path, together([*earlier, run.result()]))
-            pushes = sum(case.pushes for case in made)
-            bar.set_postfix_str(f"{pushes} pushes, {run.simulated:.0f} s", refresh=False)
+            bar.set_postfix_str(f"{run.pushes} pushes, {run.simulated:.0f} s", refresh=False)
             bar.update(min(round(run.seconds), bar.total) - bar.n)
         run.sample()
         result = together([*earlier, run.result()])

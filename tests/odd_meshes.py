@@ -94,7 +94,11 @@ def sparse(path: Path) -> None:
 
 
 def holes() -> tuple[np.ndarray, np.ndarray]:
-    """Of a sphere of 320 faces, every eighth."""
+    """Of a sphere of 320 faces, every eighth.
+
+    Refused where the body is their convex hull, which a picture does not show. CoACD takes the
+    faces as separate bodies; then a picture shows all that can be pushed, and the mesh loads.
+    """
     import trimesh
 
     ball = trimesh.creation.icosphere(2)

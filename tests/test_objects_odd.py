@@ -22,7 +22,6 @@ from sdfgcn.objects.model import ObjectModel
 pytest.importorskip("trimesh", reason="needs the extra [meshes]")
 pytest.importorskip("coacd", reason="needs the extra [meshes]")
 
-REAL = "SDFGCN_TEST_COACD" in os.environ  # the whole with CoACD itself: minutes
 NAMES_OF_ROOT = {"unreadable.obj"} if os.geteuid() == 0 else set()  # root reads everything
 
 
@@ -74,8 +73,7 @@ def loaded(
     handler = Lines()
     logging.getLogger("sdfgcn").addHandler(handler)
     with pytest.MonkeyPatch.context() as patch:
-        if not REAL:
-            patch.setitem(sys.modules, "coacd", Convex())
+        patch.setitem(sys.modules, "coacd", Convex())
         patch.setenv("SDFGCN_CACHE", str(tmp_path_factory.mktemp("cache")))
         models = {m.name: m for split in ("train", "test") for m in load_catalogue(config, split)}
     logging.getLogger("sdfgcn").removeHandler(handler)
