@@ -17,9 +17,9 @@ FILES = sorted((ROOT / "sdfgcn").rglob("*.py"))
 
 # Lowest first. A module imports its own layer and lower ones, never higher ones.
 LAYERS = (
-    ("errors",),
+    ("errors", "signals"),
     ("config",),
-    ("files", "opengl", "processes", "provenance", "signals"),
+    ("files", "opengl", "processes", "provenance"),
     ("registry",),
     ("validation",),
     ("compose",),
