@@ -1,5 +1,10 @@
 """The exception for errors that the user can fix."""
 
+from __future__ import annotations
+
+import errno
+import os
+
 
 class SdfgcnError(Exception):
     """An error that the user can fix, described in one sentence.
