@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import errno
 import logging
 import os
 import re
@@ -31,7 +30,7 @@ from sdfgcn.callbacks import how_to_go_on
 from sdfgcn.comparison.sweep import Comparison, plan_of_job
 from sdfgcn.compose import conf_dir, register_search_path
 from sdfgcn.config import Config, QNetworkConfig
-from sdfgcn.errors import SdfgcnError
+from sdfgcn.errors import SdfgcnError, tell_full_disk
 from sdfgcn.evaluation.report import text
 from sdfgcn.experiment import run_experiment
 from sdfgcn.help import all_keys, help_text
@@ -44,7 +43,6 @@ from sdfgcn.validation import typed
 
 _FULL_ERROR = "HYDRA_FULL_ERROR"
 _TRAINING = ("train", "budget", "collector", "curriculum", "her", "augment")  # groups
-_DISK_FULL = tuple(os.strerror(number) for number in (errno.ENOSPC, errno.EDQUOT))
 
 
 def main() -> None:
@@ -168,12 +166,8 @@ def to_sentence(error: BaseException) -> str | None:
     if isinstance(error, HydraException | OmegaConfBaseException):
         return _tell_config_error(error)
     for link in _causes(error):  # Hydra creates the run folder and opens its log there
-        if any(reason in str(link) for reason in _DISK_FULL):  # Rust and C++ have no OSError
-            return (
-                f"The disk is full ({_gist(link)}); make room and give the same command the same "
-                "hydra.run.dir=... (hydra.sweep.dir=... for a sweep), which goes on from what is "
-                "there, or choose another folder."
-            )
+        if told := tell_full_disk(link):
+            return told
         if isinstance(link, OSError) and link.filename:
             return (
                 f"Cannot use {link.filename} ({link.strerror}); choose another folder with "

@@ -150,7 +150,7 @@ ASYNC = (
     *("budget.minutes=null", "collector.pushes_per_batch=5", "train.learning_starts=5"),
     *("train.batch_size=4", "train.log_pushes=5", "train.checkpoint_minutes=0.0001"),
 )
-SWEEP = ("-m", "eval.seed=1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
+SWEEP = ("eval.seed=1,2", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2")
 
 
 @pytest.mark.parametrize(
@@ -167,8 +167,9 @@ def test_a_stopped_run_keeps_what_is_done(
     more: tuple[str, ...], number: signal.Signals, whole_group: bool, awaited: str, tmp_path: Path
 ) -> None:
     """It ends soon, says so, and leaves no process behind."""
-    key = "hydra.sweep.dir" if "-m" in more else "hydra.run.dir"
-    process = start(*SMALL, "eval.episodes=5000", "viz=none", *more, f"{key}={tmp_path}")
+    where = ("-m", f"hydra.sweep.dir={tmp_path}")
+    where = where if "eval.seed=1,2" in more else (f"hydra.run.dir={tmp_path}",)
+    process = start(*where, *SMALL, "eval.episodes=5000", "viz=none", *more)
     deadline = time.monotonic() + 200
     while not list(tmp_path.glob(awaited)):
         assert process.poll() is None, process.communicate()
