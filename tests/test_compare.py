@@ -82,7 +82,7 @@ def test_film_and_recording_are_side_by_side(compared: tuple[Path, str]) -> None
     recording = Recording(drawn / "episode_000.rrd")
     assert len(recording.blueprints) == 1
     for title in ("push_model", "rule_based"):
-        assert recording.pushes(f"/{title}/world/push") == [1, 2]
+        assert recording.pushes(f"/{title}/world/push") == [1, 2, 3]  # the last one shows the end
         assert f"/{title}/world/objects/1" in recording.entities()
 
 
