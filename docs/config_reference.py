@@ -76,7 +76,8 @@ def text() -> str:
     for group in (name for name in defaults if "@" not in name):
         parts.append(_section(f"`{group}`", options(group), defaults[group], _elsewhere(group)))
     root = read(conf_dir() / "train_segmentation.yaml")
-    return "\n".join([*parts, _section(TITLES["train_segmentation"], [root])])
+    compared = _section(TITLES["compare"], [read(conf_dir() / "compare.yaml")])
+    return "\n".join([*parts, compared, _section(TITLES["train_segmentation"], [root])])
 
 
 # ---------------------------------------------------------------------- reading
