@@ -179,9 +179,10 @@ def test_a_stopped_run_keeps_what_is_done(
     _, err = process.communicate(timeout=100)  # too short for the episodes that were left
     assert process.returncode == 128 + number
     assert "Traceback" not in err
-    first, *_, last = err.splitlines()
+    first, *others = err.splitlines()  # Python may complain about what joblib's workers left
     assert first == f"{'Sweep' if '-m' in where else 'Run'} folder: {tmp_path}"
     reason = "Interrupted" if number is signal.SIGINT else "Stopped by SIGTERM"
+    (last,) = (line for line in others if line.startswith(reason))
     again = shlex.split(last.removeprefix(f"{reason}; to go on: "))
     given = [str(word) for word in process.args[1:]]
     folder_last = sorted(given, key=lambda word: word == where[-1])
