@@ -57,7 +57,7 @@ def _nearest(folder: Path) -> Path:
 
 def how_to_go_on(error: KeyboardInterrupt) -> str:
     """What to say after Ctrl-C or a signal: the command that goes on, if there is a run."""
-    reason = f"Stopped by {error}" if isinstance(error, Terminated) else "Interrupted"
+    reason = f"Stopped by {error.which.name}" if isinstance(error, Terminated) else "Interrupted"
     if TellFolder.told is None:
         return f"{reason}."
     program = Path(sys.argv[0]).name

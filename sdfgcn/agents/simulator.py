@@ -78,12 +78,12 @@ class SimulatorPlanner:
                 "model=simulator tries pushes in the world of an env, but has none; evaluate it "
                 "with run.py, or call attach(env) first."
             )
-        before = self._env.world.poses()
+        before = self._needed(self._env.world.poses())
         preferences = torch.full((td["action_mask"].shape[-1],), _NOT_TRIED)
         for actions in self._candidates(td):
             for action in actions:
                 after = self._env.foresee(action)
-                preferences[action] = self._needed(before) - self._needed(after)
+                preferences[action] = before - self._needed(after)
             if (preferences > 0.0).any():
                 break
         return preferences

@@ -13,19 +13,19 @@ import mujoco
 import numpy as np
 from dm_control import mjcf
 from dm_control.mujoco.engine import Camera
-from dm_control.mujoco.wrapper import MjvOption
 from numpy.typing import NDArray
 
 from sdfgcn.config import RobotConfig
 from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.props import add_visual_assets
+from sdfgcn.sim.renderer import showing
+from sdfgcn.sim.robots.visible import GROUP_VISUAL
 from sdfgcn.task.camera import CameraModel
 from sdfgcn.task.world import Truth
 
 # Geom groups, which a picture shows or leaves out.
 GROUP_SCENE = 0  # the table and the objects
 GROUP_GHOST = 1  # the objects at their goals, translucent
-GROUP_ROBOT = 2  # as in the Menagerie models, where 3 holds the collision geoms
 CAMERA = "film"
 
 
@@ -80,12 +80,12 @@ class FilmScene:
 
     def picture(self) -> NDArray[np.uint8]:
         """[H, W, 3] what the camera sees."""
-        groups = _showing(GROUP_SCENE, GROUP_GHOST, GROUP_ROBOT)
+        groups = showing(GROUP_SCENE, GROUP_GHOST, GROUP_VISUAL)
         return self._camera.render(scene_option=groups).copy()
 
     def goal_masks(self) -> NDArray[np.bool_]:
         """[n, H, W] where each object would be seen at its goal, if nothing else were there."""
-        found = self._camera.render(scene_option=_showing(GROUP_GHOST), segmentation=True)
+        found = self._camera.render(scene_option=showing(GROUP_GHOST), segmentation=True)
         geoms = self._physics.bind(self._ghosts).element_id
         return found[..., 0] == np.reshape(geoms, (-1, 1, 1))
 
@@ -96,8 +96,8 @@ class FilmScene:
     def _show_something(self, robot: mjcf.RootElement) -> None:
         """Show the collision geoms of a robot that has no others."""
         geoms = self._physics.bind(robot.find_all("geom"))
-        if not (geoms.group == GROUP_ROBOT).any():
-            geoms.group = GROUP_ROBOT
+        if not (geoms.group == GROUP_VISUAL).any():
+            geoms.group = GROUP_VISUAL
 
 
 def _stage(camera: CameraModel, look: Look) -> mjcf.RootElement:
@@ -149,11 +149,3 @@ def _add_object(root: mjcf.RootElement, slot: int, truth: Truth, look: Look) -> 
         common |= {"material": prop.find("material", material)}
     shown = ghost.add("geom", group=GROUP_GHOST, rgba=[*color, look.ghost_alpha], **common)
     return joint, shown
-
-
-def _showing(*groups: int) -> MjvOption:
-    option = MjvOption()
-    option.geomgroup[:] = 0
-    option.geomgroup[list(groups)] = 1
-    option.sitegroup[:] = 0
-    return option

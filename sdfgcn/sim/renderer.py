@@ -25,8 +25,8 @@ class Renderer:
     def __init__(self, physics: mjcf.Physics, size: int):
         """Set up for square pictures with sides of `size` pixels."""
         self._physics = physics
-        self._rgb = _showing(GROUP_TABLE, GROUP_SCENE)
-        self._props = _showing(GROUP_SCENE)
+        self._rgb = showing(GROUP_TABLE, GROUP_SCENE)
+        self._props = showing(GROUP_SCENE)
         self._camera = Camera(physics, height=size, width=size, camera_id=CAMERA)
         self._rectangle = mujoco.MjrRect(0, 0, size, size)
         self._colors = np.zeros((size, size, 3), dtype=np.uint8)
@@ -56,7 +56,7 @@ class Renderer:
         mujoco.mjr_readPixels(self._colors, None, self._rectangle, context)
 
 
-def _showing(*groups: int) -> MjvOption:
+def showing(*groups: int) -> MjvOption:
     """Options that draw only the geoms of these groups."""
     option = MjvOption()
     option.geomgroup[:] = 0

@@ -12,7 +12,7 @@ from sdfgcn.registry import ROBOTS
 from sdfgcn.sim.robots.robot import Robot
 from sdfgcn.task.world import RobotLink, RobotShape
 
-GROUP_VISUAL = 2  # of the Menagerie models
+GROUP_VISUAL = 2  # of the Menagerie models, where 3 holds the collision geoms
 # Vertices this near to each other are merged: 390,000 become 9,000. Metres.
 DETAIL = 0.006
 
